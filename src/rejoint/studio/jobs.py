@@ -60,13 +60,14 @@ def candidates(home: Path) -> dict[str, str]:
     return found | {name: address for name, address in EMULATED.items() if usable(address)}
 
 
-def runs(home: Path, arm: Arm | None = None) -> dict[str, Path]:
-    """Return the newest run below ``home`` of every address; with ``arm`` of those of this arm."""
+def runs(home: Path, arm: Arm | None = None, name: str = "") -> dict[str, Path]:
+    """Return the newest run of every address below ``home``, of this ``arm`` and ``name`` if given."""
     found = dict[str, Path]()
     for path in runs_below(home):
         with suppress(RejointError):
             run = Run.open(path.parent)
-            if ":" in run.robot and not run.robot.startswith(LOGS) and not (arm and run.other_than(arm)):
+            other = (arm and run.other_than(arm)) or (name and run.info.name not in ("", name))
+            if ":" in run.robot and not run.robot.startswith(LOGS) and not other:
                 found.setdefault(run.robot, run.path)
     return dict(sorted(found.items()))
 
@@ -84,8 +85,9 @@ def choose(studio: Studio, address: str, name: str | None = None) -> None:
     named = named_arm(address)
     place = place_of(address if named is None else named.address)
     arm = arm_of(place.text, name if named is None else name or named.description)
-    before, settings, run = studio.status, studio.settings, runs(studio.home, arm).get(place.text)
-    studio.change(address=place.text, arm=arm, run=run, found={"arms": before.found.get("arms")})
+    before, settings, known = studio.status, studio.settings, named.name if named else ""
+    run, found = runs(studio.home, arm, known).get(place.text), {"arms": before.found.get("arms")}
+    studio.change(name=known, address=place.text, arm=arm, run=run, found=found)
     studio.settings = rejoint.Settings()
     try:
         see(studio)

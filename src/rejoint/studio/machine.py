@@ -35,6 +35,7 @@ class Status:
     """What all pages show."""
 
     step: StepName = "find"
+    name: str = ""
     address: str = ""
     """of the chosen arm, or empty"""
     arm: Arm | None = None
@@ -195,12 +196,12 @@ class Studio(Observer):
         if status.arm is None:
             raise InputError("no arm is chosen yet; find it first")
         if path is None:
-            home = self.home / plain_name(f"{status.arm.name}-{status.address}")
+            home = self.home / plain_name(f"{status.name or status.arm.name}-{status.address}")
             path = newest_or_new(status.address, status.arm, home)
         if quick is False and RunFolder(path).quick.exists():
             path = unused(path)
         self.change(run=path)
-        return Run.plan(path, status.address, status.arm, None)
+        return Run.plan(path, status.address, status.arm, None, name=status.name)
 
     # --- what the job asks and tells ---------------------------------------------------------------
 
