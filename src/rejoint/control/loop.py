@@ -91,7 +91,7 @@ class Schedule:
     ways: float | None = None
     """[s] of the dwell for a planned way, from whose start times count; None: from its end"""
     watch_falls: bool = False
-    """a joint that moves away from its command trips; a diagnosis says it of a weak one"""
+    """a joint that moves away from its command trips"""
 
 
 def run(

@@ -69,7 +69,7 @@ class ArmState(Readable):
     tool_m: Array
     """(3,) tool centre point: by the calibration, else by the encoders"""
     moving: bool
-    """whether a motion is under way, or a stream on its way to rest"""
+    """whether a motion is under way; a stream: until it rests"""
     target_m: Array | None = None
     """(3,) last target; None before the first cycle"""
     error_m: float | None = None
