@@ -18,8 +18,8 @@ def test_hand_worked_ramp():
     # 1 rad at 2 rad/s, sent at 1 s: there after half a second; turned round at 1.25 s.
     time, command = np.array([0.0, 1.0, 1.25]), np.array([[0.0], [1.0], [-1.0]])
     r = ServoReference(time, command, 2.0)
-    seen = r.sample(np.array([0.5, 1.0, 1.1, 1.25, 1.5, 2.0, 3.0]), np.array([0.0]))[0, :, 0]
-    np.testing.assert_allclose(seen, [0.0, 0.0, 0.2, 0.5, 0.0, -1.0, -1.0], atol=1e-12)
+    seen = r.sample(np.array([3.0, 0.5, 1.0, 1.1, 1.25, 1.5, 2.0]), np.array([0.0]))[0, :, 0]
+    np.testing.assert_allclose(seen, [-1.0, 0.0, 0.0, 0.2, 0.5, 0.0, -1.0], atol=1e-12)
 
 
 @settings(max_examples=25)

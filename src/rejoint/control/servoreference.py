@@ -54,7 +54,7 @@ class ServoReference:
             self._position[again], self._velocity[again] = command[again], 0.0
 
     def sample(self, time: Array, delay: Array) -> Array:
-        """Return references (m, s, n) [rad] at ``time`` (s,) [s], in order, for delays (m,) [s]."""
+        """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]."""
         late = time - delay[:, None]
         return _sample(late, self._time, self._command, self._position, self._velocity, self._limits)
 
@@ -67,6 +67,8 @@ def _sample(late, time, command, position, velocity, limits):
     for i in range(twins):
         k = 0
         for s in range(instants):
+            if late[i, s] < time[k]:
+                k = 0
             while k + 1 < len(time) and time[k + 1] <= late[i, s]:
                 k += 1
             elapsed = max(late[i, s] - time[k], 0.0)
