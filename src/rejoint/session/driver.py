@@ -71,6 +71,7 @@ from rejoint.session.inputs import (
     arm_of,
     as_calibration,
     as_twin,
+    each_once,
     equipped,
     is_batchable,
     period_of,
@@ -348,10 +349,10 @@ class ArmDriver:
         about = about and about.seeded(self.settings.seed)
         built = arm_of(robot, arm if about is None else about.arm)
         if about is not None:
-            about.require(built)
-            if arm is not None:
-                about.require(given := arm_of(None, arm))
-                built = replace(built, keep_out=(*built.keep_out, *given.keep_out))
+            known = [built, about.arm, *([] if arm is None else [arm_of(None, arm)])]
+            for one in known:
+                about.require(one)
+            built = replace(built, keep_out=each_once(*(box for one in known for box in one.keep_out)))
         self.arm: Arm = equipped(built, robot, self.settings)
         """with payload and tool of the settings"""
         self.seed = as_seed(self.settings.seed) if about is None else about.seed

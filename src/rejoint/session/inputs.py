@@ -300,11 +300,16 @@ def settled(given: Settings | None, run: Run | None, robot: RobotLike | None) ->
     own = to_keep(settings).given().keys() | ({"payload", "tool"} if isinstance(robot, Robot) else set())
     used = {name: value for name, value in kept(run).given().items() if name not in own}
     if settings.keep_out and (boxes := kept(run).keep_out):  # they add up
-        used["keep_out"] = tuple({str(box): box for box in (*boxes, *settings.keep_out)}.values())
+        used["keep_out"] = each_once(*boxes, *settings.keep_out)
     if run is None or not used:
         return settings, ""
     said = shlex.join(KeptSettings(**used).options())
     return replace(settings, **used), f"Settings of {run.path}, used unless others are given: {said}"
+
+
+def each_once(*boxes: Box) -> tuple[Box, ...]:
+    """Drop equal ones."""
+    return tuple({str(box): box for box in boxes}.values())
 
 
 def laden(run: Run) -> Arm:
