@@ -21,10 +21,10 @@ from rejoint.system.errors import FileError
 
 def owners(rows: Sequence[HistoryRow]) -> Callable[[HistoryRow], str]:
     """Return the arm of each row; of a repair without a name, the only one checked at its address until then."""
-    checked = sorted((row.time, name_of(row.robot, row.model), row.arm) for row in rows if row.kind == "check")
+    checked = sorted({(row.time, name_of(row.robot, row.model), row.arm) for row in rows if row.kind == "check"})
 
     def owner(row: HistoryRow) -> str:
-        there = [one for one in checked if one[1] == row.arm and row.kind != "check"]
+        there = [] if row.kind == "check" else [one for one in checked if one[1] == row.arm]
         names = {arm for time, _, arm in there if time <= row.time} or {arm for *_, arm in there[:1]}
         return names.pop() if len(names) == 1 else row.arm
 

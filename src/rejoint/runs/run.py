@@ -93,7 +93,7 @@ class Run(Readable):
         if isinstance(path, Run) or folder.info.exists():
             run = cls.open(path)
             seed = run.seed if seed is None else seed
-            own, given = (Path(name.removeprefix(LOGS)).absolute() for name in (run.robot, robot))  # as logs are named
+            own, given = (Path(one.removeprefix(LOGS)).absolute() for one in (run.robot, robot))  # as logs are named
             if (own, run.seed) != (given, seed):
                 raise InputError(
                     f"{run.path} is a run of {run.robot} (seed {run.seed}), and this would be {robot} (seed {seed}); "

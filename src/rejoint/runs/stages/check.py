@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rejoint.arms import Arm
+from rejoint.arms import CATALOGUE
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.robot import Robot
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, outlook, say
@@ -168,7 +168,7 @@ def check(
             LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
     if chosen.seed is None:
         chosen = replace(chosen, seed=len(mine))
-    named = built.name if isinstance(arm, Arm) else arm
+    named = arm if isinstance(arm, str | Path | None) else built.name if built.name in CATALOGUE else None
     described = () if named is None else ("--arm", named)
     with pacing(observer) as update, ExitStack() as stack:
         if chosen.dry_run:  # what it finds in a simulation is no check of the arm
