@@ -92,7 +92,8 @@ def choose(studio: Studio, address: str, name: str | None = None) -> None:
     try:
         see(studio)
     except BaseException:
-        studio.status, studio.settings = before, settings
+        studio.change(name=before.name, address=before.address, arm=before.arm, run=before.run, found=before.found)
+        studio.settings = settings
         raise
     begun = studio.run
     studio.keep(diagnosis=begun and begun.diagnosis)
