@@ -58,7 +58,7 @@ def folds(arm: Arm, logs: Sequence[RunLog]) -> None:
         start = time.process_time()
         found = identify_logs(arm, logs, LogSettings(hold_out=names))
         seconds = time.process_time() - start
-        print(f"\nfold {k}: {len(found.fitted)} motions fitted, the others judged in {seconds:.1f} s of one core")
+        print(f"\nfold {k}: {len(found.fitted)} motions fitted, others judged, all fitted: {seconds:.1f} s of one core")
         print(HEADER)
         for motion in found.judgement.motions:
             print(f"{motion.motion:28} {mm_deg(motion.errors[FITTED])}")
