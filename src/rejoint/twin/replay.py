@@ -213,7 +213,8 @@ class Replay:
         return {}
 
     def _reference(self, number: int, speed: float) -> ServoReference:
-        """Return a log's reference, also kept."""
+        """Return a log's reference."""
+        # the last is kept: most twins of a fit ask for the same speed
         log, last = self.logs[number], self._last.get(number)
         if last is None or last[0] != speed:
             last = self._last[number] = speed, ServoReference(log.time, log.command, speed, self.acceleration)

@@ -106,6 +106,7 @@ class ToolProblem:
 
     def outside(self, vector: Array) -> tuple[Array, Array, Array]:
         """Poses (..., 4, 4) of frame and mounting, and the lens's change, for the unknowns (..., k)."""
+        # zeros for what is not unknown
         rest = np.append(vector, 0.0 * vector[..., :12], axis=-1)[..., self.layout.body :]
         frame, mounted, lens = np.split(rest, [6, 12], axis=-1)
         return moved(self.frame, frame), moved(self.mounted, mounted), lens[..., : self.by_lens.shape[-1]]
