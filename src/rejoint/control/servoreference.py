@@ -36,6 +36,9 @@ def move(position, velocity, goal, reach, acceleration, elapsed):
     return position + direction * travelled, direction * speed
 
 
+INSTANT = np.zeros(1)
+
+
 class ServoReference:
     """Reference for one record of commands."""
 
@@ -53,29 +56,31 @@ class ServoReference:
         if acceleration < np.inf:
             self._position[again], self._velocity[again] = command[again], 0.0
 
-    def sample(self, time: Array, delay: Array) -> Array:
-        """Return references (m, s, n) [rad] at ``time`` (s,) [s] for delays (m,) [s]."""
+    def sample(self, time: Array, delay: Array, around: Array = INSTANT) -> Array:
+        """Return references (m, s, n) [rad] for delays (m,) [s]: means ``around`` each ``time`` (s,) [s]."""
         late = time - delay[:, None]
-        return _sample(late, self._time, self._command, self._position, self._velocity, self._limits)
+        return _sample(late, around, self._time, self._command, self._position, self._velocity, self._limits)
 
 
 @njit(cache=True, nogil=True)
-def _sample(late, time, command, position, velocity, limits):
+def _sample(late, around, time, command, position, velocity, limits):
     speed, acceleration = limits
     twins, instants = late.shape
-    path = np.empty((twins, instants, command.shape[1]))
+    path = np.zeros((twins, instants, command.shape[1]))
     for i in range(twins):
         k = 0
         for s in range(instants):
-            if late[i, s] < time[k]:
-                k = 0
-            while k + 1 < len(time) and time[k + 1] <= late[i, s]:
-                k += 1
-            elapsed = max(late[i, s] - time[k], 0.0)
-            for j in range(command.shape[1]):
-                now, v = position[k, j], velocity[k, j]
-                path[i, s, j] = move(now, v, command[k, j], speed * elapsed, acceleration, elapsed)[0]
-    return path
+            for shift in around:
+                at = late[i, s] + shift
+                if at < time[k]:
+                    k = 0
+                while k + 1 < len(time) and time[k + 1] <= at:
+                    k += 1
+                elapsed = max(at - time[k], 0.0)
+                for j in range(command.shape[1]):
+                    now, v = position[k, j], velocity[k, j]
+                    path[i, s, j] += move(now, v, command[k, j], speed * elapsed, acceleration, elapsed)[0]
+    return path / len(around)
 
 
 class LiveReference:

@@ -177,8 +177,9 @@ class Replay:
         path = np.concatenate([start[:, None], twins.rollout(control)], axis=1)
         place = self.time / self.timestep
         index = np.minimum(place.astype(int), path.shape[1] - 2)
-        row, part = self.window * m + np.arange(m)[:, None], (place - index)[:, None]
-        return path[row, index] * (1 - part) + path[row, index + 1] * part
+        row, part = (self.window * m + np.arange(m)[:, None]) * path.shape[1] + index, (place - index)[:, None]
+        before, after = (path.reshape(-1, self.arm.joints).take(row + i, axis=0) for i in (0, 1))
+        return before * (1 - part) + after * part
 
     def references(self, parameters: TwinParameters) -> Array:
         """One twin's references (rows, n) [rad] at the readings."""
@@ -191,17 +192,14 @@ class Replay:
         limits = np.stack([parameters.ramp_speed, parameters.delay])
         (speed, delay), which = np.unique(limits, axis=1, return_inverse=True)
         control = np.empty((len(self.windows) * len(which), len(self._grid), self.arm.joints))
+        around = ((np.arange(PARTS) + 0.5) / PARTS - 0.5) * self.timestep
         for w, part in zip(self.windows, np.split(control, len(self.windows)), strict=True):
-            log = self.logs[w.log]
-            instants = (log.time[w.first] + self._grid)[:, None] + self.timestep * (
-                (np.arange(PARTS) + 0.5) / PARTS - 0.5
-            )
+            time = self.logs[w.log].time[w.first] + self._grid
             sampled = [
-                self._reference(w.log, one).sample(instants.ravel(), delay[speed == one])
+                self._reference(w.log, one).sample(time, delay[speed == one], around)
                 for one in np.unique(speed).tolist()
             ]
-            parts = np.concatenate(sampled).reshape(len(delay), *instants.shape, -1)
-            part[:] = np.einsum("mspn->msn", parts)[which] / PARTS  # a mean is slower
+            part[:] = np.concatenate(sampled)[which]
         if parameters.compensation.any():
             torque = np.stack([self._gravity(w) for w in self.windows])[:, None]  # (windows, 1, steps, n)
             share = (parameters.compensation / parameters.stiffness)[:, None]
