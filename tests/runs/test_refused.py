@@ -28,9 +28,11 @@ def run(tmp_path):
 
 
 def test_an_arm_that_is_not_the_one_of_the_run(run):
-    for other in ("so101", replace(ARM, floor=0.01)):
-        with pytest.raises(rejoint.InputError, match="give another --run"):
-            rejoint.connect(NOBODY, run=run, arm=other)
+    calls = partial(rejoint.connect, NOBODY), partial(rejoint.diagnose, NOBODY), rejoint.identify, rejoint.train
+    for call in calls:
+        for other in ("so101", replace(ARM, floor=0.01)):
+            with pytest.raises(rejoint.InputError, match="give another --run"):
+                call(run=Run.open(run), arm=other)
 
 
 @pytest.mark.parametrize("wrong", [{"dwell": np.inf}, {"dwell": 0.0}, {"within": 5.0}, {"within": np.nan}], ids=str)
@@ -93,11 +95,7 @@ def test_a_training_that_cannot_be_is_no_quick_try(tmp_path):
     assert not run.folder.quick.exists()
 
 
-@pytest.mark.parametrize(
-    "stage",
-    [rejoint.identify, rejoint.diagnose, partial(rejoint.replay, a_twin())],
-    ids=["identify", "diagnose", "replay"],
-)
+@pytest.mark.parametrize("stage", [rejoint.identify, rejoint.diagnose, partial(rejoint.replay, a_twin())])
 def test_no_logs_are_nothing_to_work_on(stage):
     with pytest.raises(rejoint.InputError, match="no run logs"):
         stage([])

@@ -38,6 +38,7 @@ from rejoint.session.inputs import (
     arm_of,
     as_targets,
     is_batchable,
+    opened,
     period_of,
     settled,
 )
@@ -174,7 +175,7 @@ def repair(
     chosen, _ = settled(settings, None, robot)
     if only is None and not chosen.dry_run:
         require("rejoint repair", "train", "report")
-    built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
+    built = opened(run, arm).arm if isinstance(run, Run) else arm_of(robot, arm)
     if isinstance(what.preset, str) and not chosen.dry_run:
         from rejoint.training.task import load_preset  # late: a process that only moves arms trains nothing
 

@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Displacement, Motors, tcp_position
+from rejoint.arms import Arm, Array, Displacement, Motors, load_arm, tcp_position
 from rejoint.arms.inertia import LoadedArm
 from rejoint.arms.postures import too_heavy
 from rejoint.control.controllers.feedforward import FeedforwardController
@@ -349,7 +349,7 @@ class ArmDriver:
         about = about and about.seeded(self.settings.seed)
         built = arm_of(robot, arm if about is None else about.arm)
         if about is not None:
-            known = [built, about.arm, *([] if arm is None else [arm_of(None, arm)])]
+            known = built, about.arm, built if arm is None else load_arm(arm)
             for one in known:
                 about.require(one)
             built = replace(built, keep_out=each_once(*(box for one in known for box in one.keep_out)))

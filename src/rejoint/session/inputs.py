@@ -152,10 +152,18 @@ def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> 
     return replace(given, arm=arm)  # with what was told of its hand
 
 
+def opened(run: RunLike, arm: ArmLike | None) -> Run:
+    """Open a run; InputError if it is not of the ``arm``."""
+    found = Run.open(run)
+    if arm is not None:
+        found.require(load_arm(arm))
+    return found
+
+
 def run_of_logs(run: RunLike | None, logs: LogsLike, arm: ArmLike | None) -> tuple[Run | None, Arm]:
     """Run of a stage on logs, without writing, and the arm."""
     if isinstance(run, Run):
-        return run, run.arm
+        return opened(run, arm), run.arm
     if arm is None and isinstance(run, str | Path) and RunFolder(Path(run)).info.exists():
         chosen = Run.open(run).arm  # described there
     else:
@@ -182,10 +190,9 @@ def run_of_twin(twin: TwinLike) -> Run | None:
 def arm_of_twin(twin: TwinLike, arm: ArmLike | None = None) -> Arm:
     """Arm of a twin, by default its run's or the catalogue's, with the load of the run."""
     run = run_of_twin(twin)
-    if arm is not None:
-        found = load_arm(arm)
-    else:
-        found = arm_named(as_twin(twin).arm, "the twin is") if run is None else run.arm
+    if arm is None:
+        arm = arm_named(as_twin(twin).arm, "the twin is") if run is None else run.arm
+    found = load_arm(arm)
     return found if bare(found) is not found else kept(run).laden(found)
 
 

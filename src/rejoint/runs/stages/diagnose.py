@@ -29,6 +29,7 @@ from rejoint.session.inputs import (
     as_logs,
     is_robot,
     keep,
+    opened,
     run_of_logs,
     settled,
     source_of,
@@ -128,7 +129,7 @@ def diagnose(
                 summarise(kept)
         return Diagnosed(diagnosis=told)
     robot, chosen = cast(RobotLike, source), settled(settings, None, None)[0]
-    built = run.arm if isinstance(run, Run) else arm_of(robot, arm)
+    built = opened(run, arm).arm if isinstance(run, Run) else arm_of(robot, arm)
     about = None if run is None or chosen.dry_run else Run.plan(run, address_of(robot), built, chosen.seed)
     with (
         pacing(observer) as update,

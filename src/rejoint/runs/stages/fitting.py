@@ -33,6 +33,7 @@ from rejoint.session.inputs import (
     as_logs,
     as_twin,
     kept,
+    opened,
     run_of_logs,
 )
 from rejoint.session.session import ArmSession
@@ -123,7 +124,7 @@ def identify(
             motions = declare(declare(as_logs(logs), GAIN, what.gain), TORQUE_OFF, what.torque_off)
             require_commands(motions, "identification")
         elif run is not None:
-            about = Run.open(run)
+            about = opened(run, arm)
             stack.enter_context(exclusive(about))
             chosen, motions = about.arm, _motions(about)
         else:
@@ -311,7 +312,7 @@ def train(
         if run is not None:
             if twin is not None:
                 raise InputError("training: a run has its own twin; give either a run or a twin")
-            found = Run.open(run).seeded(how.seed)
+            found = opened(run, arm).seeded(how.seed)
             stack.enter_context(exclusive(found))
             told, tuned, known = found.diagnosis, found.gains, None if how.generic else found.twin
             if known is None and not how.generic:
