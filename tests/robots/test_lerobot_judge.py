@@ -27,6 +27,7 @@ pytestmark = [
 
 def judge(arm, models, homing, left):
     """LeRobot's bus finds servos and homing offsets, and leaves registers as it should, its calibration kept."""
+    arm.advance(0.01)  # compiles the plant now: LeRobot waits for 0.8 s
     with serve_bus(arm, pty=True) as server:
         family, _, rest = server.address.partition("://")
         device = rest.partition("?")[0]
