@@ -7,6 +7,7 @@ import pytest
 from motion_logs import ARM, PERIOD, STEP, TRUTH, centre_of, pressing, record, surface, wandering
 
 from rejoint.arms import gravity_torque, tcp_position
+from rejoint.logs.exclusions import UNPOWERED
 from rejoint.logs.runlog import RunLog
 from rejoint.twin import replay
 from rejoint.twin.fit import Problem
@@ -142,6 +143,20 @@ def test_gravity_fed_forward_is_no_stiffness_and_an_unpowered_joint_is_replayed_
     assert found.judgement.mean[FITTED].free.tcp < 0.3 * found.judgement.mean[NO_TWIN].free.tcp
     assert found.judgement.mean[FITTED].free.joints[4] < 1e-3
     assert found.judgement.doubts == ()  # what moves as predicted is trusted, though no torque is known
+
+
+@pytest.mark.parametrize("freedom", [1.0, np.inf])
+def test_motion_in_which_a_joint_had_no_power_counts_for_the_others_alone(freedom):
+    log = record("one", *wandering(0, 20.0))
+    limp = replace(log, extra={UNPOWERED: ARM.joint_names[1]})
+
+    def weights(*logs):
+        problem = Problem(Replay(ARM, logs, cut(logs, 5.0)), unknown_prior(ARM), freedom=freedom)
+        return problem.weights(np.random.default_rng(0).normal(0.0, 0.01, problem.measured.shape))
+
+    both, alone = weights(log, limp), weights(log)
+    np.testing.assert_allclose(both[:, 1], np.append(alone[:, 1], 0.0 * alone[:, 1]))
+    assert (both[:, 0] > 0.0).all()
 
 
 def test_what_repeats_a_motion_that_is_held_out_is_not_fitted():

@@ -98,8 +98,9 @@ class Problem:
 
     def weights(self, residual: Array) -> Array:
         """Weights (rows, n) [1/rad^2] of squared residuals (rows, n), by their scale."""
-        share = self.shares(residual) * self.powered
-        scale = np.maximum(np.sqrt(np.mean(2.0 * share * loss(residual), axis=0)), self.floor)
+        share = self.shares(residual)
+        square = 2.0 * (share * loss(residual)).sum(axis=0) / np.maximum(self.powered.sum(axis=0), 1)
+        scale = np.maximum(np.sqrt(square), self.floor)
         return share / (scale**2 * self.dependent)
 
     def shares(self, residual: Array) -> Array:
@@ -108,14 +109,17 @@ class Problem:
         Iteratively reweighted (Lange, Little and Taylor 1989).
         """
         if self.freedom == np.inf:
-            return np.ones_like(residual)
-        count = np.bincount(self.window)
-        by_window = np.stack([np.bincount(self.window, column) for column in loss(residual).T], axis=1) / count[:, None]
-        share = np.ones_like(by_window)
+            return self.powered.astype(float)
+        count, total = self._by_window(self.powered), self._by_window(self.powered * loss(residual))
+        by_window, share = total / np.maximum(count, 1.0), np.ones_like(total)
         for _ in range(ROUNDS):
-            scale = (share * by_window * count[:, None]).sum(axis=0) / count.sum()
+            scale = (share * total).sum(axis=0) / np.maximum(count.sum(axis=0), 1.0)
             share = (self.freedom + 1.0) / (self.freedom + by_window / np.maximum(scale, 0.5 * self.floor**2))
-        return share[self.window]
+        return share[self.window] * self.powered
+
+    def _by_window(self, values: Array) -> Array:
+        """Sum values (rows, n) in each window."""
+        return np.stack([np.bincount(self.window, column) for column in values.T], axis=1)
 
     def costs(self, vectors: Array, residuals: Array, weights: Array) -> tuple[Array, Array]:
         """Costs (m, n) of each joint alone, and (m,) of all."""
