@@ -20,6 +20,7 @@ from rejoint.diagnosis.metrics import (
     WIDTH,
     Law,
     arm_delay,
+    fit_effort,
     fit_law,
     fit_torque,
     mirrored_pulls,
@@ -191,7 +192,7 @@ def measure_logs(data: ExcitationLog) -> Measurement:
 
 def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -> JointMetrics:
     half = None if law is None else law.estimate(WIDTH)
-    effort = metrics.fit_effort(data, joint)
+    effort = fit_effort(data, joint)
     return JointMetrics(
         joint=data.arm.joint_names[joint],
         stiffness_nm_per_rad=k,
@@ -296,11 +297,11 @@ def _known(data: ExcitationLog, laws: Sequence[Law | None]) -> list[Estimate | N
     torque = replace(data, log=replace(data.log, current=None))  # which would count instead of the torque
     by_torque = [_slope(fit_torque(torque, joint), TORQUES, KNOWN_WITHIN) for joint in range(data.arm.joints)]
     by_sag = _by_sag(data.arm, [None] * data.arm.joints if ZEROS in data.log.extra else laws, KNOWN_WITHIN)
-    pairs = list(zip(by_torque, by_sag, strict=True))
-    apart = [abs(np.log(one.value / sag.value)) > np.log(SURE_WITHIN) for one, sag in pairs if one and sag]
-    if np.sum(apart) > len(apart) / 2:  # the column holds no torques of the joints: another unit, or before the gear
-        return by_sag
-    return [one or sag for one, sag in pairs]
+    sagging = [joint for joint, sag in enumerate(by_sag) if sag and by_torque[joint]]
+    carried = [fit.coefficients[SOFTNESS] for joint in sagging if (fit := fit_effort(torque, joint))]
+    if carried and not 1.0 / SURE_WITHIN < np.median(carried) < SURE_WITHIN:
+        return by_sag  # the column holds no torques of the joints: another unit, or before the gear
+    return [one or sag for one, sag in zip(by_torque, by_sag, strict=True)]
 
 
 def _by_sag(arm: Arm, laws: Sequence[Law | None], ratio: float) -> list[Estimate | None]:
