@@ -363,6 +363,8 @@ def limiting(problem: Problem, x: Array) -> Mask:
 
 COMMON = 0.10
 """Sigma of the log mass of all links; chosen"""
+BRAKED = 0.01
+"""Factor on the largest speed by which all damping acts beside the torque limit; chosen"""
 STEP = 0.05
 """Finite-difference step of the logarithms; chosen"""
 
@@ -394,3 +396,4 @@ def others(replay: Replay) -> Iterator[tuple[Replay, float]]:
         yield replace(replay, arm=heavier), sigma
     for row in np.eye(arm.joints):
         yield replace(replay, arm=replace(arm, com=arm.com * np.exp(STEP * row)[:, None])), CENTRE
+    yield replace(replay, arm=replace(arm, max_speed=BRAKED * arm.max_speed)), STEP / NORMAL95
