@@ -291,7 +291,8 @@ def offset(case: _Case) -> Found:
     doubt = 0.0 if k is None else GRAVITY_DOUBT * weight / k.value
     if not max(case.low("offset_rad"), -case.high("offset_rad")) > OFFSET_ALLOWED + doubt:
         return None
-    return case.lever * abs(case.value("offset_rad")), (
+    rest = (case.levers * case.errors).mean()  # a servo with an integral term rests nearer
+    return min(case.lever * abs(case.value("offset_rad")), rest or np.inf), (
         "has an offset or a dead band: it rests beside its command by about the same angle everywhere,"
     )
 
