@@ -104,7 +104,7 @@ def test_a_told_load_raises_commands_by_what_a_servo_gives_way():
 
 def test_a_load_that_no_motor_lifts_is_refused_before_anything_moves(run):
     with rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(payload=0.4)) as arm:
-        with pytest.raises(rejoint.InputError, match=r"too heavy: joint2 needs .* per cent .* the nearest place"):
+        with pytest.raises(rejoint.InputError, match=r"too heavy: joint3 needs .* per cent .* the nearest place"):
             arm.move_to([0.2, 0.0, 0.12], timeout_s=0.5)
         assert arm.state.time_s == 0.0
     settings = rejoint.Settings(controller="feedforward", payload=0.1)

@@ -58,8 +58,6 @@ from rejoint.twin.twin import Twin
 
 STILL = 0.4
 """[s] of standing before a torque counts as load (chosen)"""
-UNSEEN = 3.0
-"""Factor on torque limits that are not identified (chosen)"""
 ALONE, LEAST = 0.08, 0.013
 """[kg] of a myCobot 280: standard error of one posture's estimate (measured), and of many (chosen)"""
 
@@ -81,7 +79,7 @@ def believed_motors(arm: Arm, twin: Twin) -> Motors:
     """Motors of a twin, perhaps with limits in doubt."""
     own, limit, lifting = twin.parameters, twin.parameters.torque_limit, lifting_torque(twin.parameters)
     late, emf = float(own.delay) + 0.5 * NOMINAL_PERIOD, back_emf(arm, own)
-    doubt = np.where(twin.identified[twin.layout.at("torque_limit")], 1.0, UNSEEN)
+    doubt = twin.interval[1].torque_limit / limit
     return Motors(limit, lifting, own.damping, own.coulomb, own.armature, own.stiffness, late, emf, doubt)
 
 
