@@ -384,6 +384,7 @@ def fixed_covariance(
         pull = problem.system(jacobian, weight, change)[1]
         moved.append(np.where(problem.frozen | found.at_bound, 0.0, pull))
     by = np.linalg.solve(curvature, np.array(moved).T)
+    by[problem.layout.kind != TORQUE_LIMIT, -1] = 0.0  # measured: how damping divides moves the limit alone
     return by @ by.T
 
 
