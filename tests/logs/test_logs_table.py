@@ -41,6 +41,8 @@ def test_a_declared_time_unit_is_taken_and_rows_are_sorted(tmp_path, unit: str, 
     assert log.position.tolist() == found.position.tolist()
     with pytest.raises(InputError, match="exists already"):
         import_logs(source, ARM, out=tmp_path / "logs")
+    with pytest.raises(InputError, match="--order, --stamp: nothing"):
+        import_logs(source, ARM, out=tmp_path / "2", options=ImportOptions(time_unit=unit, stamp="log", names=("a",)))
 
 
 @pytest.mark.parametrize(
@@ -82,16 +84,17 @@ def test_each_command_holds_until_the_next_of_its_joint(tmp_path, way: str):
 @pytest.mark.parametrize(("kind", "sent"), [("records", "command"), ("columns", "q_d"), ("arrays", "q_target")])
 def test_parts_of_what_json_and_archives_hold_are_joints(tmp_path, kind: str, sent: str):
     found, source = worn_sample(seconds=8), tmp_path / "log.json"
-    held = {"time_s": found.time, "position_deg": np.rad2deg(found.position), f"{sent}_rad": found.command}
-    lists = {name: one.tolist() for name, one in held.items()} | {"names": ARM.joint_names}
+    names, position, command = ARM.joint_names[::-1], np.rad2deg(found.position), found.command
+    held = {"time_s": found.time, "position_deg": position[:, ::-1], f"{sent}_rad": command[:, ::-1]}
+    lists = {name: one.tolist() for name, one in held.items()} | {"names": names}
     if kind == "records":
-        parts = [dict(zip(ARM.joint_names, row, strict=True)) for row in lists["position_deg"]]
+        parts = [dict(zip(names, row, strict=True)) for row in lists["position_deg"]]
         rows = zip(found.time, parts, lists[f"{sent}_rad"], strict=True)
-        lists = {"about": {"names": ARM.joint_names, "rows": [dict(zip(held, row, strict=True)) for row in rows]}}
+        lists = {"about": {"names": names, "rows": [dict(zip(held, row, strict=True)) for row in rows]}}
     source.write_text(json.dumps(lists))
     if kind == "arrays":
         source = tmp_path / "log.npz"
-        np.savez(source, **held, names=ARM.joint_names)
-    (log,) = import_logs(source, ARM, out=tmp_path / "logs").logs
+        np.savez(source, **held, names=names)
+    (log,) = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(names=names)).logs
     np.testing.assert_allclose(log.position, found.position[: len(log)])
-    np.testing.assert_array_equal(log.command, found.command[: len(log)])
+    np.testing.assert_array_equal(log.command, command[: len(log)])

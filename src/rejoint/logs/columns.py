@@ -28,6 +28,7 @@ from rejoint.logs.joints import (
     half_ranges,
     joint_of,
     match_joints,
+    ordered,
     read_linear,
 )
 from rejoint.logs.runlog import AXES
@@ -167,8 +168,8 @@ class RawMotion(FileMotion):
             )
         keys = sort_keys(times)
         if (late := keys != times).any():
-            where = f"command, {sent.place} {sent.number[late][0]}"
-            raise FileError(sent.path, f"{where}: the clock goes back, or is no number", "cut the file there")
+            said = f"command, {sent.place} {sent.number[late][0]}: the clock goes back, or is no number"
+            raise FileError(sent.path, said, "cut the file there")
         common = min(time[-1], times[-1]) - max(time[0], times[0])
         if common < 0.5 * min(np.ptp(time), np.ptp(times)):
             raise FileError(
@@ -453,13 +454,14 @@ class _GroupedColumns:
         if names == [""] and (self.arm.joints == 1 or group in ("gain", "powered")):
             return columns * self.arm.joints
         titles = [column.title for column in columns]
-        match = match_joints(names, self.arm, self.motion.path, group, titles=titles)
+        match = match_joints(ordered(names, self.options), self.arm, self.motion.path, group, titles=titles)
         columns = [columns[i] for i in match.columns]
         if match.dropped and group in MOTION:
             self.notes.append(f"{group}: names that are no joints dropped: {shown(match.dropped)}")
         if match.numbered:
-            ends = f"{columns[0].title} to {columns[-1].title}"
-            self.notes.append(f"{group}: {ends} taken as the joints from the base on")
+            self.notes.append(
+                f"{group}: {columns[0].title} to {columns[-1].title} taken as the joints from the base on"
+            )
         return columns
 
     def values(self, group: str, half: Array | None = None) -> tuple[Array, list[Column], list[str]]:

@@ -152,8 +152,10 @@ def states_alone(logs: Sequence[RunLog], what: str) -> bool:
     """Whether no log holds commands; InputError if some do."""
     bare = [log.label for log in logs if not log.commanded]
     if bare and len(bare) < len(logs):
-        said = f"{what}: {len(bare)} of {len(logs)} logs hold no commands ({bare[0]}{', ...' * (len(bare) > 1)})"
-        raise InputError(f"{said}; put them into a folder of their own")
+        raise InputError(
+            f"{what}: {len(bare)} of {len(logs)} logs hold no commands ({bare[0]}{', ...' * (len(bare) > 1)}); put "
+            "them into a folder of their own"
+        )
     return bool(bare)
 
 
@@ -223,8 +225,8 @@ def clean(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]]:
         said = f"state: {gone} of {rows} samples have the stamp of the one before and are lost"
         found.append((said, "record finer stamps"))
     if lost:
-        first = motion.where(int(np.argmin(fresh)))
-        found.append((f"state: {lost} samples with a doubled stamp left out, first at {first}", ""))
+        said = f"state: {lost} samples with a doubled stamp left out, first at {motion.where(int(np.argmin(fresh)))}"
+        found.append((said, ""))
         motion = motion.take(fresh)
     return motion, found
 
@@ -256,7 +258,7 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Ite
         )
     # no other program normalises, and other encoders have other steps
     lerobot, declared = motion.extra.get("format") == "lerobot", options.angle_unit
-    if declared in ("deg", "normalised") and (lerobot or options.calibration is not None):
+    if declared in ("deg", "normalised") and (options.calibration is not None or lerobot):
         raw = np.rad2deg(angles) if motion.half is None else angles / motion.half * 100.0
         kind, why = unit_by_steps(raw)
         if kind is None and lerobot and np.abs(raw).max() <= NORMALISED_MOST:
@@ -289,11 +291,12 @@ def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
     for joint in np.flatnonzero(worst > 0):
         beyond = f"state: {motion.columns[joint]} is beyond the limits of joint {arm.joint_names[joint]}"
         if far[joint] > FAR_OUT:
-            limits = f"({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad)"
-            said = f"{beyond} {limits} in {100 * far[joint]:.0f} % of the samples, by up to {worst[joint]:.3g} rad"
+            said = (
+                f"{beyond} ({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad) in {100 * far[joint]:.0f} % of the "
+            )
+            said += f"samples, by up to {worst[joint]:.3g} rad"
             yield said, f"check unit, joint order and zero posture (--angle-unit), or {GEAR_REMEDY}"
-        out = int((excess[:, joint] > 0).sum())
-        yield f"{beyond} in {out} samples, by up to {worst[joint]:.3g} rad", ""
+        yield f"{beyond} in {(excess[:, joint] > 0).sum()} samples, by up to {worst[joint]:.3g} rad", ""
     if len(motion) >= SPEED_ROWS:
         yield from _check_motion(motion, arm)
 
@@ -317,9 +320,11 @@ def _check_motion(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
         usual = np.percentile(speed, 90, axis=0)
         joint = int(np.argmax(usual / arm.max_speed))
         if usual[joint] > TOO_FAST * arm.max_speed[joint]:
-            said = f"state: {motion.columns[joint]} moves at {usual[joint]:.3g} rad/s and more in a tenth of the log, "
-            said += f"joint {arm.joint_names[joint]} at up to {arm.max_speed[joint]:.3g}"
-            yield said, _TIME_REMEDY
+            yield (
+                f"state: {motion.columns[joint]} moves at {usual[joint]:.3g} rad/s and more in a tenth of the log, "
+                f"joint {arm.joint_names[joint]} at up to {arm.max_speed[joint]:.3g}",
+                _TIME_REMEDY,
+            )
     far, steps = np.abs(way), np.maximum(steps, float(np.median(steps)))[1:-1]
     jumped = far[1:-1] > SPIKE + 0.25 * SHARPEST * steps**2 + 3.0 * np.maximum(far[:-2], far[2:])
     jumped &= far[:-2].any(axis=1, keepdims=True)  # readings that stood still catch up with the arm
@@ -376,9 +381,12 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int] = ()) -> Iterator
         other = highest[joint, best]
         better = best != joint and other > MUCH_BETTER[0] and 1 - own > MUCH_BETTER[1] * (1 - other)
         if (own < RELATED[0] and other > RELATED[1]) or better:
-            said = f"the state of {name} follows the command of {motion.columns[best]} (correlation {other:.2f}), "
-            said += f"not its own ({own:.2f})"
-            raise FileError(motion.path, said, "give the true joint order of states and commands")
+            raise FileError(
+                motion.path,
+                f"the state of {name} follows the command of {motion.columns[best]} (correlation {other:.2f}), not its "
+                f"own ({own:.2f})",
+                "give the true joint order of states and commands",
+            )
         if own < RELATED[0] and lowest[joint, joint] < -RELATED[1]:
             said = f"state: {name} moves against its command (correlation {lowest[joint, joint]:.2f})"
             remedy = GEAR_REMEDY if lowest[joint, joint] < -MUCH_BETTER[0] else ""

@@ -202,7 +202,7 @@ def _stopped(log: RunLog, ends: tuple[Array, Array], usual: Array) -> Mask:
 
 
 def _stale(log: RunLog, usual: Array) -> Mask:
-    still = np.concatenate([[False], (log.position[1:] == log.position[:-1]).all(axis=1)])
+    still = (np.diff(log.position, axis=0, prepend=np.nan) == 0.0).all(axis=1)
     dead = np.zeros(len(log), dtype=bool)
     for first, last in free_runs(still, log.time, STALE_TIME):
         # A joint may well rest though its command moves; not for long once the command has left it.

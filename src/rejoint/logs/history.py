@@ -3,11 +3,11 @@
 import hashlib
 import os
 import re
-import typing
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import msgspec
 import numpy as np
@@ -144,9 +144,8 @@ class HistoryRow:
 
 
 _ARROW = {str: pa.string(), float: pa.float64(), datetime: pa.timestamp("us")}
-_KINDS = typing.get_type_hints(HistoryRow)
 SCHEMA = pa.schema(
-    [(item.name, _ARROW[(*typing.get_args(_KINDS[item.name]), _KINDS[item.name])[0]]) for item in fields(HistoryRow)],
+    [(name, _ARROW[(*get_args(kind), kind)[0]]) for name, kind in get_type_hints(HistoryRow).items()],
     metadata={_FORMAT_KEY: str(FORMAT).encode()},
 )
 """Columns"""

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
@@ -24,8 +24,9 @@ from rejoint.logs.consistency import (
     kept_remarks,
 )
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
-from rejoint.logs.joints import ImportOptions
-from rejoint.logs.readers import LEROBOT, MCAP, ROSBAG, SAGE, TABLE, Reader
+from rejoint.logs.joints import ImportOptions, Watched
+from rejoint.logs.readers import READERS
+from rejoint.logs.readers import Format as Format
 from rejoint.logs.runlog import TWO_TURNS, RunLog, describe
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import reading
@@ -59,12 +60,11 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
     if paused.any():
         worst = int(np.argmax(steps))
         notes.append(
-            f"state: {int(paused.sum())} pause(s) longer than {PAUSE:g} s, the longest {steps[worst]:.3g} s before "
+            f"state: {paused.sum()} pause(s) longer than {PAUSE:g} s, the longest {steps[worst]:.3g} s before "
             f"{motion.where(good[worst + 1])}; {cut}"
         )
     if bad.any():
-        first = motion.where(int(np.argmax(bad)))
-        notes.append(f"{int(bad.sum())} row(s) with corrupt numbers, first at {first}; {cut}")
+        notes.append(f"{bad.sum()} row(s) with corrupt numbers, first at {motion.where(int(np.argmax(bad)))}; {cut}")
     for index, piece in enumerate(kept, start=1):
         name = f"{motion.name}-{index}of{len(kept)}" if len(kept) > 1 else motion.name
         yield replace(motion.take(piece), name=name, notes=notes)
@@ -76,9 +76,12 @@ def _corrupt(motion: RecordedMotion, what: str, values: Array) -> Mask:
     missing = unknown.any(axis=1)
     if missing.mean() > DAMAGED:
         row, joint = np.argwhere(unknown)[0].tolist()
-        said = f"{what}, {motion.where(row)}: joint {joint + 1} is {values[row, joint]}, one of {int(missing.sum())} "
-        said += "rows with values that are not finite"
-        raise FileError(motion.path, said, "mend the values or cut the rows")
+        raise FileError(
+            motion.path,
+            f"{what}, {motion.where(row)}: joint {joint + 1} is {values[row, joint]}, one of {missing.sum()} rows with "
+            "values that are not finite",
+            "mend the values or cut the rows",
+        )
     huge = missing | (np.abs(values) > TWO_TURNS).any(axis=1)
     return np.asarray(huge if huge.mean() <= DAMAGED else missing)
 
@@ -122,7 +125,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         off = [joint for joint, name in enumerate(arm.joint_names) if name in options.torque_off]
         take(check_agreement(motion.take(powered), off))
         if not powered.all():
-            notes.append(f"state: {int((~powered).sum())} rows without torque")
+            notes.append(f"state: {(~powered).sum()} rows without torque")
     unknown = np.full((rows, 3), np.nan)
     told = {FORCED: BETWEEN.join(reasons), UNPOWERED: ",".join(options.torque_off)}
     log = RunLog(
@@ -137,9 +140,10 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         units=dict(motion.units),
         **{"target": unknown, "true_tcp": unknown, **motion.more},
     )
-    silent = [joint for joint in unpowered_joints(log) if joint not in options.torque_off]
     notes.extend(
-        f"state: {one} never answers its command: unpowered, too weak or stuck (--torque-off {one})" for one in silent
+        f"state: {one} never answers its command: unpowered, too weak or stuck (--torque-off {one})"
+        for one in unpowered_joints(log)
+        if one not in options.torque_off
     )
     return log, [*notes, *kept_remarks(log)]
 
@@ -154,10 +158,6 @@ class Imported:
     skipped: tuple[str, ...] = ()
     """failed logs with reasons"""
 
-
-Format = Literal["sage", "table", "mcap", "rosbag", "lerobot"]
-READERS: dict[Format, Reader] = {"sage": SAGE, "table": TABLE, "mcap": MCAP, "rosbag": ROSBAG, "lerobot": LEROBOT}
-"""Importable formats"""
 
 _NAMED = 8  # reasons for which logs are refused
 _EXPECTED = (
@@ -195,12 +195,12 @@ def import_logs(
     FileError
         for a damaged or doubted file; among several it is skipped
     InputError
-        for wrong options
+        for wrong or unread options
 
     An error leaves nothing behind.
     """
-    options = options or ImportOptions()
-    if unknown := [joint for joint in options.torque_off if joint not in arm.joint_names]:
+    watched: Any = Watched(options or ImportOptions())
+    if unknown := [joint for joint in watched.torque_off if joint not in arm.joint_names]:
         raise InputError(f"--torque-off {unknown[0]!r}: {arm.name} has the joints {', '.join(arm.joint_names)}")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} exists already; name a new folder for the imported logs")
@@ -224,12 +224,12 @@ def import_logs(
 
     for done, path in enumerate(paths, start=1):
         with refusing(path.stem):
-            for motion in READERS[chosen].read(path, options):
+            for motion in READERS[chosen].read(path, watched):
                 with refusing(motion.name):
-                    for part in parted(read_motion(motion, arm, options, source=path.resolve(), kind=chosen)):
+                    for part in parted(read_motion(motion, arm, watched, source=path.resolve(), kind=chosen)):
                         name = _file_name(part.name)
                         with refusing(name):
-                            log, remarks = to_log(part, arm, options)
+                            log, remarks = to_log(part, arm, watched)
                             if name in logs:
                                 raise FileError(
                                     source, f"a second log with the name {name}", "import it into another folder"
@@ -250,6 +250,8 @@ def import_logs(
             raise refused[0][1]
         said = "".join(f"\n  {error}" for error in [*reversed(why.values())][:_NAMED])
         raise FileError(source, "no log here can be imported", f"the first reasons:{said}")
+    if unread := watched.unread():
+        raise InputError(f"{', '.join(unread)}: nothing in {source} needs it; leave it out, or see --map")
     _write_whole(out, logs)
     return Imported(
         logs=tuple(logs.values()),
@@ -275,8 +277,8 @@ def detect(source: Path) -> Format:
     if not fitting:
         raise FileError(source, f"no log: {found}; expected {_EXPECTED}", "convert it to one of these")
     if len(fitting) > 1:
-        held = " and ".join(fitting)
-        raise FileError(source, f"holds logs of the formats {held}", "say with --format which to import")
+        said = f"holds logs of the formats {' and '.join(fitting)}"
+        raise FileError(source, said, "say with --format which to import")
     return fitting[0]
 
 

@@ -85,6 +85,30 @@ class ImportOptions:
             raise InputError(f"--rate {self.rate} is no rate; give rows in a second")
 
 
+class Watched:
+    """Options, and which of them were read."""
+
+    def __init__(self, options: ImportOptions) -> None:
+        self._options, self._read = options, {"force"}
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        self._read.add(name)
+        return getattr(self._options, name)
+
+    def unread(self) -> list[str]:
+        """Return flags given in vain."""
+        names = (name for name, value in vars(self._options).items() if value and name not in self._read)
+        return [f"--{name.replace('names', 'order').replace('_', '-')}" for name in names]
+
+
+def ordered(numbers: Sequence[str], options: ImportOptions) -> list[str]:
+    """Names of numbered columns by the options."""
+    if not all(map(str.isdecimal, numbers)):
+        return list(numbers)
+    names = dict(zip(sorted(numbers, key=int), options.names, strict=False))
+    return [names.get(number, number) for number in numbers]
+
+
 def read_map(texts: Iterable[str]) -> dict[str, str]:
     """Read ``ours=theirs`` pairs or a TOML file; InputError, FileError."""
     pairs: list[tuple[str, str]] = []

@@ -118,9 +118,9 @@ def recover(folder: Path) -> tuple[Path, ...]:
     found = []
     for file in sorted(folder.glob(f".*{_ENDING}")):
         path = folder / f"{file.name[1 : -len(_ENDING)]}.parquet"
-        made = None if path.exists() else _convert(file, path)  # where it exists, only the removal was missing
+        if not path.exists() and (made := _convert(file, path)):  # where it exists, only the removal was missing
+            found.append(made)
         file.unlink(missing_ok=True)
-        found += [] if made is None else [made]
     return tuple(found)
 
 
@@ -133,7 +133,7 @@ def _convert(file: Path, path: Path) -> Path | None:
     if log is None and any(file.read_bytes()):
         file.replace(file.with_name(f"{path.stem}-damaged{_ENDING}"))
     made = None
-    if log is not None and len(log):
+    if log:
         made = unused(path.with_stem(f"{path.stem}-{CUT_SHORT}"))
         log.save(made)
     file.unlink(missing_ok=True)

@@ -16,13 +16,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from rejoint.arms import Array
 from rejoint.logs.columns import RawMotion
-from rejoint.logs.joints import NAMES, TIME_UNITS, ImportOptions
+from rejoint.logs.joints import NAMES, TIME_UNITS, ImportOptions, ordered
 from rejoint.logs.runlog import LOG_MOST, read_parquet
 from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.extras import require
@@ -40,12 +40,11 @@ class Reader(NamedTuple):
     """the motions in it"""
 
     def found(self, source: Path) -> list[Path]:
-        """Return what it reads at a path, sorted by name: in a folder, else in folders there, as of ROS 2's bags."""
+        """Return what it reads at a path: in a folder, sorted, else in folders there, as ROS 2's bags."""
         if self.fits(source, True):
             return [source]
-        below = sorted(source.iterdir()) if source.is_dir() else []
-        deeper = (path for folder in below if folder.is_dir() for path in sorted(folder.iterdir()))
-        return [path for path in below if self.fits(path, False)] or [path for path in deeper if self.fits(path, False)]
+        levels = ([path for path in sorted(source.glob(depth)) if self.fits(path, False)] for depth in ("*", "*/*"))
+        return next(filter(None, levels), [])
 
 
 _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
@@ -68,8 +67,7 @@ def _sage_motion(path: Path, names: list[str], group: str, ticks: float) -> RawM
         raise FileError(path, f"line 1: columns {shown(sheet.titles)}, expected type, timestamp, positions", remedy)
     values = np.empty((len(sheet), len(names)))
     for row, text in enumerate(sheet.words(2)):
-        said = f"line {sheet.lines[row]}: positions {text[:40]!r} are no list of {len(names)} numbers"
-        with reading(path, said, remedy):
+        with reading(path, f"line {sheet.lines[row]}: {text[:40]!r} are no {len(names)} positions", remedy):
             numbers = json.loads(text)
             values[row] = numbers if len(numbers) == len(names) else "of another length"
     columns = {f"{group}.{name}": numbers for name, numbers in zip(names, values.T, strict=True)}
@@ -91,19 +89,20 @@ _AGAIN = "record it again, or write its columns as text"
 def _is_table(file: Path, named: bool) -> bool:
     suffix = file.suffix.lower()
     # what calls itself a table is refused by name where it is none
-    sure = suffix == ".csv" or suffix in _KINDS
-    return file.is_file() and (sure or ((named or suffix in _ENDINGS) and head(file) is not None))
+    return file.is_file() and (
+        suffix in (".csv", *_KINDS) or ((named or suffix in _ENDINGS) and head(file) is not None)
+    )
 
 
 def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
     if read := _KINDS.get(file.suffix.lower()):
         columns, found = read(file)
         return [RawMotion.of(file.stem, file, columns, found=found)]
-    sheet = read_sheet(file, names=options.names, whole=False)
+    sheet = read_sheet(file, whole=False)
     motion = RawMotion(
         name=file.stem,
         path=file,
-        titles=sheet.titles,
+        titles=tuple(ordered(sheet.titles, options)),
         values=sheet.numbers,
         number=sheet.lines,
         place="line",
@@ -159,7 +158,7 @@ def _archive(file: Path) -> tuple[dict[str, Array], str]:
 
 
 def _columns(held: Mapping[str, Any]) -> dict[str, Array]:
-    """Columns of numbers, of the length that most have; (T, n) become NAME_0 and so on."""
+    """Columns of numbers of the usual length; (T, n) become NAME_0 and so on."""
     found = dict[str, Array]()
     for name, one in held.items():
         with suppress(InputError):
@@ -257,7 +256,7 @@ _RECORD_LIMIT = 1 << 28
 """[bytes] (chosen: larger than recorded chunks)"""
 
 Opened = tuple[dict[str, str], Callable[[set[str]], Iterator[tuple[str, int, Any]]]]
-"""Topics and their types; and decoded messages of some topics, with topic and time of recording [ns]"""
+"""Types by topic; and decoded messages of some, with topic and time of recording [ns]"""
 Opener = Callable[[Path], AbstractContextManager[Opened]]
 
 
@@ -416,7 +415,7 @@ def _topics(held: dict[str, str], options: ImportOptions, file: Path, notes: lis
 
 
 def _message(content: Any, group: str, logged: int, options: ImportOptions) -> Message:  # noqa: ANN401
-    """Joints of a decoded message; TypeError or ValueError for one of another kind."""
+    """Joints of a decoded message; TypeError, ValueError."""
     held = {key: _some(content, paths) for key, paths in NAMES["messages"].items()}
     names, stamp = [*map(str, held["names"] or options.names)], _nanoseconds(held["stamp"])
     given = {group: held["values"]}
@@ -455,23 +454,15 @@ def _field(message: Any, path: Sequence[str]) -> Any:  # noqa: ANN401
 
 
 def _nanoseconds(stamp: Any) -> int:  # noqa: ANN401
-    """Time or duration [ns], or 0."""
+    """Time or duration [ns], or 0; TypeError."""
     if stamp is None:
         return 0
-    seconds = _some(stamp, ("sec", "seconds", "secs"))
-    rest = _some(stamp, ("nanosec", "nsec", "nanos", "nsecs"))
-    if seconds is not None and rest is not None:
-        return int(seconds) * NANOSECONDS + int(rest)
-    raise ValueError(f"stamp {stamp!r} has no seconds and nanoseconds")
+    seconds, rest = (
+        _some(stamp, names) for names in (("sec", "seconds", "secs"), ("nanosec", "nsec", "nanos", "nsecs"))
+    )
+    return int(seconds) * NANOSECONDS + int(rest)
 
 
-SAGE = Reader(
-    lambda path, _: (path / _STATE).is_file() or ((path / _CONTROL).is_file() and (path / _JOINTS).is_file()),
-    _read_sage,
-)
-TABLE = Reader(_is_table, _read_table)
-LEROBOT = Reader(lambda path, _: (path / _INFO).is_file(), _episodes)
-MCAP = Reader(lambda path, _: begins_with(path, b"\x89MCAP0\r\n"), partial(_read, _open_mcap))
 _PACKED = re.compile(rb"compression_mode: ['\"]?(file|message)", re.IGNORECASE)
 
 
@@ -484,7 +475,18 @@ def _is_bag(folder: Path) -> bool:
 
 
 _ROSBAGS = {".db3": b"SQLite format 3\x00", ".bag": b"#ROSBAG V2.0"}
-ROSBAG = Reader(
-    lambda path, _: _is_bag(path) or (path.suffix in _ROSBAGS and begins_with(path, _ROSBAGS[path.suffix])),
-    partial(_read, _open_rosbag),
-)
+Format = Literal["sage", "table", "mcap", "rosbag", "lerobot"]
+READERS: dict[Format, Reader] = {
+    "sage": Reader(
+        lambda path, _: (path / _STATE).is_file() or ((path / _CONTROL).is_file() and (path / _JOINTS).is_file()),
+        _read_sage,
+    ),
+    "table": Reader(_is_table, _read_table),
+    "mcap": Reader(lambda path, _: begins_with(path, b"\x89MCAP0\r\n"), partial(_read, _open_mcap)),
+    "rosbag": Reader(
+        lambda path, _: _is_bag(path) or (path.suffix in _ROSBAGS and begins_with(path, _ROSBAGS[path.suffix])),
+        partial(_read, _open_rosbag),
+    ),
+    "lerobot": Reader(lambda path, _: (path / _INFO).is_file(), _episodes),
+}
+"""Importable formats"""

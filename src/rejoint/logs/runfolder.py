@@ -176,10 +176,10 @@ def read_info(path: Path) -> RunInfo:
     """Read run.json; FileError."""
     found = read_json(path, dict[str, Any])
     if (version := found.get("format", FORMAT)) != FORMAT:
-        maker = found.get("version", "of some other version")
         raise FileError(
             path,
-            f"a run folder of format {version}, made by rejoint {maker}; expected format {FORMAT}",
+            f"a run folder of format {version}, made by rejoint {found.get('version', 'of some other version')}; "
+            f"expected format {FORMAT}",
             "use that version of rejoint, or choose another folder",
         )
     return read_json(path, RunInfo)

@@ -237,8 +237,10 @@ class RunLog:
         if self.arm != arm.name:
             raise InputError(f"run log {self.label} is of arm {self.arm}, expected {arm.name}; name its arm with --arm")
         if self.joint_names != arm.joint_names:
-            found, expected = ", ".join(self.joint_names), ", ".join(arm.joint_names)
-            raise InputError(f"run log {self.label} has joints {found}, expected {expected}; import it again")
+            raise InputError(
+                f"run log {self.label} has joints {', '.join(self.joint_names)}, expected {', '.join(arm.joint_names)}"
+                "; import it again"
+            )
         if self.period > LONGEST_PERIOD:
             raise InputError(f"run log {self.label}: its rows are {self.period:.4g} s apart; give times in seconds")
         for what, values in (("position", self.position), ("command", self.command)):

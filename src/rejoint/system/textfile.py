@@ -141,15 +141,14 @@ def split_unit(title: str, units: Collection[str]) -> tuple[str, str | None]:
     return title, None
 
 
-def read_sheet(path: Path, *, names: Sequence[str] = (), whole: bool = True, most: int = TEXT_MOST) -> Sheet:
+def read_sheet(path: Path, *, whole: bool = True, most: int = TEXT_MOST) -> Sheet:
     """Read a table of at most ``most`` bytes; FileError.
 
-    ``names``: titles of a file without them. Unless ``whole``, cells may be damaged, and an incomplete last line is
-    left out.
+    Unless ``whole``, cells may be damaged, and an incomplete last line is left out.
     """
     with reading(path, "not readable", "check the path and its permissions"):
         data = read_bounded(path, "cut it into several files", most)
-    return _parsed(*_decoded(data, path), path, names, whole=whole)
+    return _parsed(*_decoded(data, path), path, whole=whole)
 
 
 def read_columns(
@@ -227,7 +226,7 @@ def _decoded(data: bytes, path: Path, *, cut: bool = False) -> tuple[str, str]:
     raise FileError(path, "no text: it holds control characters", "save it as text, or take another file")
 
 
-def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] = (), *, whole: bool = True) -> Sheet:
+def _parsed(text: str, encoding: str, path: Path, *, whole: bool = True) -> Sheet:
     lines = text.splitlines()
     ends = len(f"{text}.".splitlines()) > len(lines)
     chosen = [i for i, line in enumerate(lines) if line.strip() and not _ASIDE.match(line)]
@@ -246,10 +245,9 @@ def _parsed(text: str, encoding: str, path: Path, names: Sequence[str] = (), *, 
     named = not all(_NUMBER.fullmatch(title) or _DATE.match(title) for title in filter(None, titles))
     rows = chosen[prints + named :]
     if not named:
-        width = len(titles)
         comment = _split(above[-1].lstrip("#%/ \t"), separator) if above else []
-        named = len(comment) == width
-        titles = comment if named else list(names) if len(names) == width else [str(i + 1) for i in range(width)]
+        named = len(comment) == len(titles)
+        titles = comment if named else [str(i + 1) for i in range(len(titles))]
     if not (whole or ends):
         rows = rows[:-1] or rows
     # a text without columns has no separator; "one column" keeps an error about it true
