@@ -292,19 +292,19 @@ def finish(draft: Loaded) -> Loaded:
 
 def _with_workspace(arm: Arm, derives: bool, notes: list[str]) -> Arm:
     """Derive targets, and the rest posture too where it ``derives`` one."""
-    if on_a_surface(arm):
-        tcp = tcp_position(arm, arm.rest)
-        notes.append(
-            f"targets: the {arm.joints} joint{'s move' if arm.joints > 1 else ' moves'} the TCP on a line or a surface "
-            "only, so there is no region to drive it to; its logs can be used as those of any arm"
-        )
-        return replace(arm, targets=Box(lower=tcp - POINT, upper=tcp + POINT))
-    if derives:
+    if derives and not on_a_surface(arm):
         rest, targets = derive_workspace(arm)
         arm = replace(arm, rest=rest, targets=targets)
-        notes.append(f"rest posture: none given; {_listed(np.degrees(arm.rest))} deg derived by sampling")
+        notes.append(f"rest posture: none given; {_listed(np.degrees(rest))} deg derived by sampling")
+    elif found := derive_targets(arm):
+        arm = replace(arm, targets=found)
     else:
-        arm = replace(arm, targets=derive_targets(arm))
+        tcp = tcp_position(arm, arm.rest)
+        notes.append(
+            "targets: around the rest posture there is no region to drive the TCP to, as where joints move it on a "
+            "line or a surface only; its logs can be used as those of any arm"
+        )
+        return replace(arm, targets=Box(lower=tcp - POINT, upper=tcp + POINT))
     low, high = _listed(1e3 * arm.targets.lower), _listed(1e3 * arm.targets.upper)
     notes.append(f"targets: none given; the box from {low} to {high} mm derived by sampling")
     return arm

@@ -82,15 +82,9 @@ def on_a_surface(arm: Arm) -> bool:
     return survey.manipulability < _FLAT * survey.reach**3
 
 
-def derive_targets(arm: Arm) -> Box:
-    """Target region around the resting TCP; NoPostureError."""
-    found = _largest_box(_survey(arm), arm.rest)
-    if found is None:
-        raise NoPostureError(
-            f"arm {arm.name}: no region of reachable targets around the rest posture was found; "
-            "give targets in the arm's TOML file, or another rest_deg"
-        )
-    return found
+def derive_targets(arm: Arm) -> Box | None:
+    """Target region around the resting TCP, if there is one."""
+    return _largest_box(_survey(arm), arm.rest)
 
 
 class NoPostureError(InputError):
