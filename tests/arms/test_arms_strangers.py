@@ -83,6 +83,13 @@ def test_a_held_hinge_turns_what_it_carries(tmp_path: Path) -> None:
     np.testing.assert_allclose(five, six, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["world", "ceiling"])
+def test_a_fixed_joint_turns_the_base(tmp_path: Path, name: str) -> None:
+    mount = f'<link name="{name}"/>{fixed(name, "base")}'.replace("xyz", 'rpy="1 0 0" xyz')
+    arm = load_arm(written(tmp_path, urdf(SIX).replace('<link name="base"/>', mount)))
+    np.testing.assert_allclose(arm.offset[0, 2, 2], np.cos(1.0))
+
+
 def chain_tcp(draft, q: np.ndarray) -> np.ndarray:
     from rejoint.arms.rotations import turned
 

@@ -301,7 +301,7 @@ def _arm(tree: Tree, driven: list[Joint], start: int, end: int, notes: list[str]
     turns, places = np.concatenate([data.xmat, data.site_xmat]), np.concatenate([data.xpos, data.site_xpos])
     poses, bodies = pose_of(turns.reshape(-1, 3, 3), places), model.jnt_bodyid[joints]
     upright = poses[start, 2, 2]
-    if upright < 1 - 1e-9:
+    if upright < _UPRIGHT:
         notes.append(
             f"base: {tree.names[start]} is tilted by {np.degrees(np.arccos(max(upright, -1.0))):.0f} deg in the file; "
             "gravity, floor and targets are taken as if it stood upright, which is right only where the arm itself does"
@@ -379,8 +379,12 @@ _ACROSS = 1e-6
 """Largest product of orthogonal unit vectors (rounding)"""
 
 
+_UPRIGHT = 1 - 1e-9
+"""Least cosine of no tilt (rounding)"""
+
+
 def _root_of(tree: Tree, end: int, notes: list[str]) -> int:
-    """First body of the arm to ``end``: the root, or the load of a mobile base.
+    """First body of the arm to ``end``: an upright root, else the world, or the load of a mobile base.
 
     A mobile base is two slides or more, and a hinge across them.
     """
@@ -396,7 +400,7 @@ def _root_of(tree: Tree, end: int, notes: list[str]) -> int:
         notes.append(f"base: none given; {tree.names[root]} taken; {names} before it move all of it")
         return root
     root = path[0] if path else WORLD
-    if any(joint.kind not in ("free", "slide") for joint in tree.joints_of([root])):
+    if tree.data.xmat[root, 8] < _UPRIGHT or any(one.kind not in ("free", "slide") for one in tree.joints_of([root])):
         root = WORLD
     notes.append(f"base: none given; {tree.names[root]} taken, the root of the tree")
     return root
