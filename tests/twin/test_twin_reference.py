@@ -1,11 +1,15 @@
 """The reference ramp and the delay, against hand-worked numbers and against small steps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.control.servoreference import ServoReference
+from rejoint.logs.runlog import RunLog
+from rejoint.twin.replay import sent
 
 
 def commands(seed):
@@ -41,3 +45,13 @@ def test_references_move_at_their_speed_and_stop_at_their_command(speed):
     for k, reach in enumerate(speed * np.diff(time)):
         expected[k + 1] = expected[k] + np.clip(command[k] - expected[k], -reach, reach)
     np.testing.assert_allclose(ServoReference(time, command, speed).sample(time, np.zeros(1))[0], expected, atol=1e-12)
+
+
+def test_commands_of_rows_lost_from_an_imported_log_are_interpolated():
+    time, command = 0.02 * np.arange(100), np.linspace(0.0, np.ones(5), 100)
+    whole = replace(RunLog.of(time, command, command, arm="so101"), extra={"format": "table"})
+    lost = whole.rows(np.delete(np.arange(100), [7, 30, 31]))
+    np.testing.assert_allclose(sent(lost)[0], time, atol=1e-12)
+    np.testing.assert_allclose(sent(lost)[1], command, atol=1e-12)
+    for same in (whole, replace(lost, extra={})):
+        np.testing.assert_array_equal(sent(same)[1], same.command)

@@ -38,6 +38,8 @@ PARTS = 6
 """Instants of a step whose mean reference counts; chosen: a delay is then exact to a twelfth of a step"""
 VELOCITY = 2
 """Rows on each side of a velocity; chosen"""
+GAP, REGULAR = 1.5, 0.8
+"""Periods after which a row is lost, and share of rows within them; chosen"""
 THREADS = 2
 """of the simulation; no effect on results"""
 
@@ -77,6 +79,16 @@ def durations(windows: Sequence[Window], logs: Sequence[RunLog]) -> Array:
 def in_force(log: RunLog) -> Array:
     """Commands (T, n) [rad] in force at each reading: row k is sent after its answer."""
     return log.command[np.maximum(np.arange(len(log)) - 1, 0)]
+
+
+def sent(log: RunLog) -> tuple[Array, Array]:
+    """Return times (T,) [s] and commands (T, n) [rad], interpolated where rows of an imported, regular log are lost."""
+    steps = np.diff(log.time) / log.period
+    if "format" not in log.extra or np.quantile(steps, REGULAR) > GAP:
+        return log.time, log.command
+    rows = np.append(0, np.cumsum(np.maximum(np.rint(steps), 1)))
+    time = np.interp(np.arange(rows[-1] + 1), rows, log.time)
+    return time, interpolated(time, log.time, log.command)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +160,7 @@ class Replay:
     def _grid(self) -> Array:
         """Times (steps,) [s] of the simulation steps."""
         longest = durations(self.windows, self.logs).max()
-        return np.asarray(np.arange(int(np.ceil(longest / self.timestep)) + 1) * self.timestep, dtype=np.float64)
+        return np.arange(np.ceil(longest / self.timestep) + 1) * self.timestep
 
     def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = (), *, resting: bool = False) -> Array:
         """Positions (m, rows, n) [rad] of twins (m,) in all windows, with m ``tables``.
@@ -215,7 +227,7 @@ class Replay:
         # the last is kept: most twins of a fit ask for the same speed
         log, last = self.logs[number], self._last.get(number)
         if last is None or last[0] != speed:
-            last = self._last[number] = speed, ServoReference(log.time, log.command, speed, self.acceleration)
+            last = self._last[number] = speed, ServoReference(*sent(log), speed, self.acceleration)
         return last[1]
 
     def _gravity(self, window: Window) -> Array:
