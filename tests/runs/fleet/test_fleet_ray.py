@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from datetime import datetime, timedelta
+from functools import partial
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
@@ -52,10 +53,6 @@ class World:
         self.late = False
         self.nice = set[int]()
 
-    def executor(self, arms):
-        """Start Ray."""
-        return RayExecutor(arms, cpus=1)
-
     def now(self):
         """Kill what works on the emulated arm, once; it becomes evening when the real arm has moved."""
         if not any(f"{VIRTUAL}: check failed" in event for event in self.events):
@@ -85,11 +82,13 @@ def called(address, tmp_path_factory):
     real = replace(allowed, name="real", address=address, hours=["Mon-Fri 08:00-18:00"])
     home = tmp_path_factory.mktemp("fleet")
     fleet, world = Fleet(path=home / "FLEET.toml", folder=home / "lab", arms=(real, allowed)), World(home / "lab")
-    rules = FleetRules(now=world.now)
-    before = [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
-    found = run_fleet(fleet, "check", world.executor, rules, tell=world.events.append)
-    assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
-    again = run_fleet(fleet, "check", world.executor, rules, only=(VIRTUAL,))
+    rules, executor = FleetRules(now=world.now), partial(RayExecutor, cpus=1)
+    own = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as in a background job of a script; workers inherit it
+    other = signal.getsignal(signal.SIGTERM)
+    found = run_fleet(fleet, "check", executor, rules, tell=world.events.append)
+    assert signal.getsignal(signal.SIGTERM) == other
+    assert signal.signal(signal.SIGINT, own) == signal.SIG_IGN
+    again = run_fleet(fleet, "check", executor, rules, only=(VIRTUAL,))
     return found, world, again
 
 

@@ -28,6 +28,7 @@ PULSE, SILENCE = 0.5, 10.0
 def _drive(work: Work) -> WorkOutcome:
     install()
     over = threading.Event()
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # by which Ray interrupts; a background job ignores it
     if work.held:
         threading.Thread(target=_watch, args=(over,), daemon=True).start()
     try:
