@@ -9,7 +9,7 @@ from datetime import datetime, timedelta
 from functools import partial
 from importlib.machinery import ModuleSpec
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -116,11 +116,13 @@ def test_a_real_arm_is_held_at_the_end_of_its_hours_and_its_motion_is_kept(calle
     assert 0.5 < np.ptp(RunLog.load(log).time) < 30.0
 
 
-def test_ray_that_was_imported_without_its_token_is_refused_at_once(monkeypatch):
-    """Its own error comes after twenty seconds, and names a server."""
+def test_what_ray_itself_refuses_late_is_refused_at_once(monkeypatch):
+    """An import without its token after twenty seconds, a place without a cluster after twenty minutes."""
     imported = ModuleType("ray")
-    imported.__spec__ = ModuleSpec("ray", None)
+    imported.__spec__, imported.exceptions = ModuleSpec("ray", None), SimpleNamespace(RayError=RuntimeError)
     monkeypatch.setitem(sys.modules, "ray", imported)
     monkeypatch.delenv("RAY_AUTH_MODE", raising=False)
     with pytest.raises(InputError, match="begin a new Python"):
         RayExecutor([])
+    with pytest.raises(InputError, match=r"cannot be used at 127.0.0.1:1: .*refused"):
+        RayExecutor([], address="127.0.0.1:1")

@@ -10,11 +10,13 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from socket import create_connection
 from typing import Any
 
 from rejoint.runs.fleet.campaign import HELD, ROBOT, Work, WorkOutcome, do_work
 from rejoint.runs.fleet.file import FleetArm
 from rejoint.system.errors import InputError, first_line
+from rejoint.system.shell import host_and_port
 from rejoint.system.stopping import check, install, noted
 
 STORE = 80 * 2**20
@@ -26,9 +28,9 @@ PULSE, SILENCE = 0.5, 10.0
 
 
 def _drive(work: Work) -> WorkOutcome:
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # by which Ray interrupts; a background job ignores it
     install()
     over = threading.Event()
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # by which Ray interrupts; a background job ignores it
     if work.held:
         threading.Thread(target=_watch, args=(over,), daemon=True).start()
     try:
@@ -142,8 +144,10 @@ def _started(address: str | None, cpus: int | None, resources: dict[str, float])
         import ray
 
         try:
+            if address is not None:  # where nothing listens, Ray itself would try for twenty minutes
+                create_connection(host_and_port("--address", address), SILENCE).close()
             ray.init(**how, log_to_driver=False, logging_level=logging.ERROR)
-        except (ConnectionError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
+        except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
             where = "on this machine" if address is None else f"at {address}"
             raise InputError(f"Ray cannot be used {where}: {first_line(error)}") from error
     return ray
