@@ -174,9 +174,10 @@ def test_a_quick_try_says_so_and_counts_for_nothing_in_a_repair(tmp_path):
 
 def test_an_interruption_brings_arms_to_a_hold_first(tmp_path):
     held = WorkOutcome(seconds=1.0, problem="held, as it was asked to stop", code=130)
-    executor = PlayedExecutor({("a", "check"): [Interrupted(2), held], ("e", "check"): [None] * 100})
+    executor, events = PlayedExecutor({("a", "check"): [Interrupted(2), held], ("e", "check"): [None] * 100}), []
     with pytest.raises(Interrupted):
-        call(tmp_path, [arm("a"), emulated("e")], executor)
+        call(tmp_path, [arm("a"), emulated("e")], executor, tell=events.append)
+    assert events[-1] == "a: check failed: held during check"  # and no hours, which are now
     assert executor.held == ["a"]
     assert [work.arm.name for work in executor.running] == ["e"]
 

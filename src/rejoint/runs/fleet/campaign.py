@@ -184,8 +184,8 @@ class Campaign:
             last = read_json(self.file, CampaignInfo)
             # What was begun in the future was so by a wrong clock: no check of now would count for it.
             recent = timedelta(0) <= now - last.begun < STALE[verb]
-            self.resumed = recent and not last.finished and last.quick == rules.quick
-            self.info = last if self.resumed else self.info
+            if recent and not last.finished and last.quick == rules.quick:
+                self.info, self.resumed = last, True
         self.info.runs.update({arm.name: self._run_of(arm) if verb == "repair" else "" for arm in arms})
         write_json(self.file, self.info)
         self.arms = [ArmProgress(arm=arm, left=self.left(arm)) for arm in arms]
@@ -300,7 +300,7 @@ class Campaign:
     def _end(self, one: ArmProgress, work: Work, outcome: WorkOutcome) -> None:
         step, problem = work.step, outcome.problem
         if one.held and problem == HELD:
-            one.end, one.why = "left", f"held during {step}; {self._begins(one.arm)}"
+            one.end, one.why = "left", f"held during {step}; {self._refused(work)}".rstrip("; ")
             return
         one.left, one.code, one.trace = self.left(one.arm), ROBOT, outcome.trace
         if problem:
@@ -322,11 +322,10 @@ class Campaign:
             return "may_repair is not true in the file"
         if arm.needs_somebody and not self.rules.somebody:
             return "somebody has to be there: say --somebody-is-there when somebody is"
-        return "" if arm.opening.begins(now) == now else self._begins(arm)
-
-    def _begins(self, arm: FleetArm) -> str:
-        opens = arm.opening.begins(self.rules.now())
-        return "its hours never come" if opens is None else f"its hours begin {opens:%a %Y-%m-%d %H:%M}"
+        opens = arm.opening.begins(now)
+        if opens is None:
+            return "its hours never come"
+        return "" if opens == now else f"its hours begin {opens:%a %Y-%m-%d %H:%M}"
 
 
 HEADERS = ("arm", "state", "error [mm]", "done", "what to do")
@@ -434,7 +433,7 @@ def run_fleet(
         start, since = "Starting the", ""
         if campaign.resumed:
             start, since = "Going on with the", f", begun {campaign.info.begun:%Y-%m-%d %H:%M} UTC"
-        tell(f"{start} {verb} of {plural(len(campaign.info.runs), 'arm')} in {fleet.folder}{since}")
+        tell(f"{start} {verb} of {plural(len(campaign.arms), 'arm')} in {fleet.folder}{since}")
         with closing(executor([one.arm for one in campaign.arms])) as ready:
             campaign.drive(ready, tell)
         rows = [_row(campaign, one) for one in campaign.arms]
