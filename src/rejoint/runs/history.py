@@ -238,8 +238,7 @@ def _span(early: datetime | None, late: datetime | None) -> str:
 
 def _urgency(arm: ArmHistory) -> tuple[int, datetime, float]:
     row = arm.newest
-    state = _ORDER.index(arm.state) if arm.state in _ORDER else len(_ORDER)
-    return state, row.due_early or datetime.max, -(row.counts_mm or 0.0)
+    return (*_ORDER, arm.state).index(arm.state), row.due_early or datetime.max, -(row.counts_mm or 0.0)
 
 
 def write_history(path: Path, arms: Sequence[ArmHistory]) -> None:

@@ -62,11 +62,10 @@ class Hours(NamedTuple):
 
 def _span(text: str) -> list[tuple[int, int]]:
     """Read the hours of one or several days: ``Fri 22:00-06:00`` ends on Saturday."""
-    found = _SPAN.fullmatch(text)
-    names = [] if found is None else [found[1].title(), (found[2] or found[1]).title()]
-    if found is not None and {*names} <= {*DAYS}:
+    if found := _SPAN.fullmatch(text):
+        names = found[1].title(), (found[2] or found[1]).title()
         first, last = (60 * int(found[i]) + int(found[i + 1]) for i in (3, 5))
-        if first < _DAY and last <= _DAY and first != last:
+        if {*names} <= {*DAYS} and first < _DAY and last <= _DAY and first != last:
             day, end = map(DAYS.index, names)
             length = (last - first) % _DAY or _DAY
             return [((day + i) % 7 * _DAY + first, length) for i in range((end - day) % 7 + 1)]
@@ -225,7 +224,7 @@ def name_arm(name: str, **values: str | float) -> Path:
 def remove_name(name: str) -> Path:
     """Take an arm out of `names_file`; InputError for an unknown name."""
     path = names_file()
-    document = tomlkit.parse(path.read_text(encoding="utf-8")) if path.exists() else tomlkit.document()
+    document = tomlkit.parse(path.read_text(encoding="utf-8") if path.exists() else "")
     names = [arm["name"] for arm in document.get("arm", ())]
     if name not in names:
         raise InputError(f"there is no arm {name!r} in {path}; there are: {', '.join(names) or 'none'}")

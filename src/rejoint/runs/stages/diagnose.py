@@ -141,9 +141,8 @@ def diagnose(
             gains = gains_in_force(driven)
             (logs,) = record(driven, seed=session.seed, on_progress=update)
             if reference is None:
-                voltage = driven.read().voltage
-                volts = None if voltage is None else voltage[0]
-                reference = healthy_reference(driven.arm, address_of(robot), gains, volts)
+                volts = driven.read().voltage
+                reference = healthy_reference(driven.arm, address_of(robot), gains, None if volts is None else volts[0])
             found = replace(judge(driven.arm, logs, reference), servo_gains=None if gains is None else dict(gains))
             result = Diagnosed(diagnosis=found, targets=logs.targets, excitation=logs.excitation)
             if session.run is not None:
