@@ -66,7 +66,6 @@ def film_of(t, carried="board", names=()):
     for k, (view, position) in enumerate(zip(t.views, t.position, strict=True)):
         seen = t.views[other.get(k, k)]
         shot = Shot(
-            number=k + 1,
             position=position,
             posture=k,
             seen=BoardView(name=view.name, number=seen.number, pixel=seen.pixel),

@@ -27,9 +27,8 @@ SWAPPED = ("view-05.png", "view-06.png")
 def film_of(count):
     """Corners of the worn arm's board, two of whose pictures are swapped, and one picture that shows nothing."""
     film = camera_scenes.film_of(taken(count=count), names=SWAPPED)
-    unseen = replace(film.shots[0].seen, name="blank.jpg", why="the board cannot be seen")
-    blank = replace(film.shots[0], number=count + 1, seen=unseen)
-    return film.with_shot(blank, SIZE)
+    unseen = replace(film.shots[0].seen, name="white.jpg", why="the board cannot be seen")
+    return film.with_shot(replace(film.shots[0], seen=unseen), SIZE)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +54,7 @@ def test_a_displacement_comes_back_within_its_interval(filmed):
 
 def test_what_does_not_belong_to_a_film_is_named(filmed):
     left = dict(filmed.left_out)
-    assert set(left) == {*SWAPPED, "blank.jpg"}
+    assert set(left) == {*SWAPPED, "white.jpg"}
     assert any("swapped" in left[name] for name in SWAPPED)
     assert len(filmed.residuals) == len(filmed.measurements) == filmed.calibration.points == 20
 

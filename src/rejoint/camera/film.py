@@ -41,8 +41,6 @@ POSTURES = "postures.csv"
 class Shot:
     """One picture and its posture."""
 
-    number: int
-    """in the plan, from 1"""
     position: Array
     """(n,) [rad] by encoders"""
     posture: int
@@ -69,20 +67,20 @@ class Film:
     size: tuple[int, int] = (0, 0)
     """[px] width and height; zero before the first picture that can be read"""
     shots: tuple[Shot, ...] = ()
-    """by number"""
+    """by name"""
 
     def __len__(self) -> int:
         return len(self.shots)
 
     def with_shot(self, shot: Shot, size: tuple[int, int]) -> Film:
-        """Add a picture, in place of one of its number; InputError for another ``size``."""
+        """Add a picture, in place of one of its name; InputError for another ``size``."""
         if any(self.size) and size != self.size:
             raise InputError(
                 f"picture {shot.name} has {size[0]} x {size[1]} px, those before it {self.size[0]} x {self.size[1]}; "
                 "take all of them with one camera and one setting"
             )
-        shots = {one.number: one for one in (*self.shots, shot)}
-        return replace(self, size=size, shots=tuple(shots[number] for number in sorted(shots)))
+        shots = {one.name: one for one in (*self.shots, shot)}
+        return replace(self, size=size, shots=tuple(shots[name] for name in sorted(shots)))
 
     @property
     def usable(self) -> tuple[Shot, ...]:
@@ -104,8 +102,8 @@ class Film:
             why = "; ".join(f"{name}: {why}" for name, why in self.unusable[:3])
             raise UnseenBoardError(
                 f"camera: the board is seen well in {len(views)} of {len(self)} pictures, expected at least {least}"
-                f"{why and f' ({why})'}; turn camera and board to each other, hold the camera still, focus it, add "
-                "light, or put it farther away"
+                f"{why and f' ({why})'}; take more, or turn camera and board to each other, hold the camera still, "
+                "focus it, add light, or put it farther away"
             )
         lens = first_lens(self.size, self.board, views)
         placed = [place(lens, self.board, view) for view in views]
@@ -208,7 +206,7 @@ def read_folder(pattern: str, arm: Arm, board: Board, carried: str = "board") ->
         )
         if picture is not None:
             seen, size = detector.find(path.name, picture), picture.shape[::-1]
-        shot = Shot(number=row + 1, position=position[row], posture=int(posture[row]), seen=seen)
+        shot = Shot(position=position[row], posture=int(posture[row]), seen=seen)
         film = film.with_shot(shot, size)
     return film
 

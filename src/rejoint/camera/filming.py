@@ -162,19 +162,20 @@ class CameraGauge:
 
             def shoot(number: int, posture: Array, place: int) -> None:
                 nonlocal film
-                if any(shot.number == number for shot in film.usable):
+                name = f"view-{number:03}.png"
+                if any(shot.name == name for shot in film.usable):
                     return
                 on_progress((number - 1) / total, f"picture {number} of {total}")
                 position = drive.stand(posture, number - 1)
                 picture = camera.still(number)
                 check()
-                seen = detector.find(f"view-{number:03}.png", picture)
+                seen = detector.find(name, picture)
                 self.show(picture, seen)
-                shot = Shot(number=number, position=position, posture=place, seen=seen)
+                shot = Shot(position=position, posture=place, seen=seen)
                 film = film.with_shot(shot, picture.shape[::-1])
                 if pictures is not None:
                     write_postures(pictures / POSTURES, arm, film)
-                    write_bytes(pictures / seen.name, cv2.imencode(".png", picture)[1].tobytes())
+                    write_bytes(pictures / name, cv2.imencode(".png", picture)[1].tobytes())
                 if number == 1 and seen.why:
                     raise UnseenBoardError(
                         f"camera: in the rest posture, where the arm stands now, {seen.why}; let the camera see all of "
