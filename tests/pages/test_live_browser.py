@@ -16,6 +16,7 @@ pytestmark = [
     pytest.mark.realtime,
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium here: install it to see the live view in a browser"),
 ]
+BUTTON = "[...document.querySelectorAll('button')].find(b => !b.disabled && b.innerText.includes('Hold the arm'))"
 SCENE = (0, 200, 780, 650)  # px: what is neither panel nor notice
 
 
@@ -57,8 +58,8 @@ def test_the_arm_is_seen_to_move_the_guard_speaks_and_the_button_holds_it():
             assert (np.ptp(picture, axis=2) < 40).any()
             assert picture.std() > 10.0
         assert (np.abs(first - second).max(axis=2) > 30).mean() > 0.01
-        tab.ask("[...document.querySelectorAll('button')].find(b => b.innerText.includes('Hold the arm')).click()")
-        tab.wait_for("document.body.innerText.includes('Stopped.')", 10.0)
+        tab.ask(f"{BUTTON}.click()")
+        tab.wait_for(f"document.body.innerText.includes('Stopped.') && !!{BUTTON}", 10.0)  # and holds what comes next
         out, err = process.communicate(timeout=30)
         assert process.returncode == 130  # as for Ctrl-C
         assert "error: interrupted by the button of the live view" in err

@@ -276,7 +276,6 @@ class WebPage:
 
     def stop(self) -> None:
         """Ask the arm to hold."""
-        self._stop.label, self._stop.disabled = "Asked to hold", True
         ask("the button of the live view")
 
     def close(self) -> None:
