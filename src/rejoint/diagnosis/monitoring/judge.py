@@ -431,7 +431,7 @@ def _advice(found: Outlook, repair: str) -> tuple[str, str]:
         also = f"; beside that {', '.join(sorted(worn))} wears (alarm)" if worn else ""
         return (
             f"{cause_of(found)}, which is no wear but a bump, a new setting or another load{also}",
-            f"if it was so, check it again with --moved, five times; if not, look whether {found.moved[0].joint} has "
+            f"if it was so, check it again with --moved --repeat 5; if not, look whether {found.moved[0].joint} has "
             f"slipped, then {repair}",
         )
     if found.state == "learning":
@@ -441,8 +441,9 @@ def _advice(found: Outlook, repair: str) -> tuple[str, str]:
         return f"Check {found.checks} since {since}: {needed}", repair if found.over else again
     if found.state == "steady":
         due = found.due and found.due.early
-        soon = f"nothing yet; check again by {_day(due)}, and make time for a repair" if due else ""
-        later = soon if due and due - found.newest < MONTH else "nothing; check again in a month"
+        later = "nothing; check again in a month"
+        if due and due - found.newest < MONTH:
+            later = f"nothing yet; check again by {_day(due)}, and make time for a repair"
         joints = len({one.joint for one in found.changes if one.joint})
         return f"No change in {joints} joints since {since}", repair if found.over else later
     others = {one.joint or "the tool" for one in found.changes if one.state == found.state}
@@ -486,7 +487,7 @@ def _act(found: Outlook, worst: Change, repair: str) -> str:
         over = f"; {repair}" if found.over else ""
         return (
             f"look what was done to {whose}, as it is better than it was; if it was changed or greased, or the hand "
-            f"carries less, check with --moved, five times{over}"
+            f"carries less, check with --moved --repeat 5{over}"
         )
     if not found.over and found.state != "alarm":
         return "check again within a week; no repair yet"
