@@ -14,6 +14,7 @@ import pytest
 
 import rejoint
 from commandline import python
+from rejoint.cli.console import HERE, with_place
 from rejoint.robots import place_of, ports
 from rejoint.robots.family import Wire
 from rejoint.system.shell import host_and_port, listen_tcp
@@ -188,5 +189,6 @@ def test_help_shows_that_flags_take_no_value(cli, words):
 @pytest.mark.parametrize("listen", ["x", "99999", ":80", ""])
 def test_a_place_to_listen_at_is_a_port_with_or_without_a_host(listen):
     assert host_and_port("--listen", "9601") == host_and_port("--listen", "127.0.0.1:9601") == ("127.0.0.1", 9601)
+    assert with_place(["--live", "9601", "--live", "run"]) == ["--live", "9601", f"--live={HERE}", "run"]
     with pytest.raises(rejoint.InputError, match="expected HOST:PORT"):
         host_and_port("--listen", listen)

@@ -229,11 +229,11 @@ def _plain(value: object) -> object:
 OPTION = "--live"
 HERE = "127.0.0.1:8080"
 """Where the page is unless something else is said: this computer alone reaches it"""
-_PLACE = re.compile(r"[A-Za-z0-9_.-]+:\d{1,5}")
+_PLACE = re.compile(r"[A-Za-z0-9_.-]+:\d{1,5}|\d{4,5}")
 
 
 def with_place(words: Sequence[str]) -> list[str]:
-    """Give a bare ``--live`` its place: what follows belongs to it only where it reads HOST:PORT."""
+    """Give a bare ``--live`` its place: what follows belongs to it where it reads HOST:PORT, or PORT."""
     return [
         f"{OPTION}={HERE}" if word == OPTION and not _PLACE.fullmatch("".join(words[k + 1 : k + 2])) else word
         for k, word in enumerate(words)
