@@ -216,7 +216,7 @@ def _arm(call: Call) -> Arm:
 def _contestants(arm: Arm, words: list[str], gains: Path | None = None) -> list[Contestant]:
     from rejoint_lab.research.evaluation.evaluate import classical, learned
 
-    tuned = {} if gains is None else read_json(gains, dict[str, dict[str, float]])
+    tuned = None if gains is None else read_json(gains, dict[str, dict[str, float]])
     if not words:
         raise InputError("no controller takes part; name --controllers or give a --policy")
     return [learned(Path(word), arm) if word.endswith(".onnx") else classical(word, tuned) for word in words]

@@ -190,15 +190,11 @@ RIVALS = {
 }
 
 
-def make_rival(name: str, arm: Arm, gains: Gains | None = None) -> Controller:
-    """Build a rival, default: with its own gains; InputError for other names or gains."""
+def make_rival(name: str, arm: Arm) -> Controller:
+    """Build a rival with its own gains; InputError for other names."""
     if name not in RIVALS:
         raise InputError(f"no rival is called {name!r}; known rivals: {', '.join(RIVALS)}")
-    rival = RIVALS[name]
-    chosen = rival.tuned if gains is None else gains
-    if set(chosen) != set(rival.gains):
-        raise InputError(f"{name}: gains {sorted(chosen)}, expected {sorted(rival.gains)}")
-    return rival.make(arm, chosen)
+    return RIVALS[name].make(arm, RIVALS[name].tuned)
 
 
 CANDIDATES = 12

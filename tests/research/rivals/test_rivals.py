@@ -6,6 +6,7 @@ from rejoint.arms.postures import find_postures
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, dls_step
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges
+from rejoint_lab.research.evaluation.evaluate import classical
 from rejoint_lab.research.rivals import AdaptiveController, Gain, Rival, ScheduledController, make_rival, tune
 from standin import inputs_of, state_of
 
@@ -99,7 +100,8 @@ def test_the_tuning_finds_the_bottom_of_a_known_valley(monkeypatch):
 
 
 def test_gains_must_be_those_of_the_rival():
-    with pytest.raises(InputError, match="expected"):
-        make_rival("adaptive", ARM, {"rate": 1.0})
+    for gains in ({"adaptive": {"rate": 1.0}}, {"tuned-feedforward": {}}):  # of a file that lacks this rival
+        with pytest.raises(InputError, match="expected"):
+            classical("adaptive", gains)
     with pytest.raises(InputError, match="tuned-feedforward"):
         make_rival("nobody", ARM)

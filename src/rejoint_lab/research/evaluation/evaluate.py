@@ -67,7 +67,7 @@ from rejoint_lab.research.evaluation.family import (
     targets_anywhere,
     try_on,
 )
-from rejoint_lab.research.rivals import RIVALS, make_rival
+from rejoint_lab.research.rivals import RIVALS
 
 
 class Contestant(NamedTuple):
@@ -90,15 +90,18 @@ KNOWN = (*BASELINES, *RIVALS, SHELF)
 
 
 def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None) -> Contestant:
-    """Baseline or rival by name; ``gains`` replace its own; InputError names the alternatives."""
+    """Baseline or rival by name; ``gains`` replace its own; InputError for other names or gains."""
     if name not in (*KNOWN, PREDICTIVE):
         raise InputError(f"no controller is called {name!r}; known: {', '.join(KNOWN)}, and --policy FILE")
-    own = (gains or {}).get(name) or (RIVALS[name].tuned if name in RIVALS else {})
+    rival = RIVALS.get(name)
+    own = {} if rival is None else rival.tuned if gains is None else gains.get(name, {})
+    if rival and own.keys() != rival.gains.keys():
+        raise InputError(f"{name}: gains {sorted(own)}, expected {sorted(rival.gains)}")
     shelf = _digest(*(shelf_path(arm) for arm in shelf_arms())) if name == SHELF else ""
 
     def make(twins: Sequence[Twin], arm: Arm) -> Controller:
-        if name in RIVALS:
-            return make_rival(name, arm, own)
+        if rival:
+            return rival.make(arm, own)
         if name == PREDICTIVE and twins:
             return planned(arm, twins)
         return make_controller(name, arm, stiffness=_stiffness(twins) if twins else None)
