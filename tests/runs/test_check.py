@@ -139,9 +139,11 @@ def test_a_history_grows_and_begins_anew(tmp_path):
     assert once(8).outlook.tolerance_mm == 6.0  # as the owner said before
     assert once(9, moved=True).outlook.checks == 1
     assert once(10).outlook.checks == 2
-    repaired = replace(find_rows(tmp_path)[0][0], kind="repair", time=BEGIN + timedelta(days=315))
+    repaired = replace(find_rows(tmp_path)[0][0], kind="repair", time=BEGIN + timedelta(days=315), settled_mm=0.5)
     write_rows(tmp_path / "run" / SUMMARY, [repaired])
     assert once(11).outlook.checks == 1
+    (tmp_path / "run" / SUMMARY).unlink()
+    assert once(11.5).line.startswith("The run of its last repair is gone")
     other = replace(ARM, mass=1.1 * ARM.mass)
     changed = once(12, arm=other)
     assert changed.outlook.checks == 1

@@ -175,8 +175,8 @@ def _controller(run: Run, kind: str, out: Path | None, wanted: str | None) -> tu
             file = template.removeprefix(ROS2).removesuffix(".txt").replace("PACKAGE", package)
             write_text(place / file, f"{render(template, **words)}\n".lstrip())
         if (unit := _unit(run)) is not run.arm:
-            corrected = "This unit: the corrections are in the joint origins."
-            write_urdf(place / "urdf" / f"{run.arm.name}.urdf", unit, corrected)
+            told = "This unit: the corrections are in the joint origins."
+            write_urdf(place / f"urdf/{run.arm.name}.urdf", unit, told)
     return place, (
         f"Controller: {name} ({why}). What is written is the {design.name}; {path.with_suffix('.yaml').name} describes "
         f"it. {notice}"
@@ -233,11 +233,11 @@ def design_of(run: Run, best: str) -> Design:
             )
         periods, gains = (contract.min_period, contract.max_period), in_words(contract.servo_gains or {})
         design = Design(arm=arm, law=contract.law, network=policy.content, name=name, periods=periods, gains=gains)
-    written = inner_name(best) if name == POLICY else best  # a policy says which gains it is for
-    if written == name or best == SHELF:
+    # a policy says which gains it is for
+    if best == SHELF or name == (inner_name(best) if name == POLICY else best):
         return design
     proof = f"The run has not compared {name}."
-    if (comparison := run.comparison) is not None:
+    if comparison := run.comparison:
         tried = [achieves(row, comparison) for row in comparison.rows if inner_name(row.controller) == name]
         proof = " ".join(tried) or proof
     return design._replace(instead=f"{best} cannot be written so; this is the {name} of the run instead. {proof}")

@@ -106,7 +106,7 @@ def summarise(run: Run) -> None:
         setup=setup_of(run.arm),
     )
     joints = []
-    if diagnosis is not None:
+    if diagnosis:
         for row in diagnosis.measurement.joints:
             found = {name: one and one.value for name in _DIAGNOSED for one in [getattr(row, name)]}
             joints.append(replace(arm, joint=row.joint, **found))
@@ -114,7 +114,7 @@ def summarise(run: Run) -> None:
         if loop := diagnosis.open_loop:
             known = loop.true_error_mm
             arm = replace(arm, true_error_mm=known.value if known else None, error_mm=loop.error_mm.value)
-    if comparison is not None:
+    if comparison:
         best = comparison.row(recommend(comparison).controller)
         settled, true = (1e3 * one.mean.value if one else None for one in (best.settled, best.settled_true))
         arm = replace(arm, controller=best.controller, success=best.reached, settled_mm=settled, settled_true_mm=true)

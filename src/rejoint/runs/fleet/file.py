@@ -171,7 +171,7 @@ def read_fleet(path: Path | str) -> Fleet:
                 arm = replace(arm, description=str(_place(home, arm.description)))
             arm.opening, arm.built  # noqa: B018 - what cannot be read or built is refused now
             spot = place_of(arm.address).spot
-            if any(arm.name == other.name for other in arms.values()):
+            if arm.name in {other.name for other in arms.values()}:
                 raise ValueError("two arms have this name")
             if spot in arms:
                 raise ValueError(f"address {arm.address!r} is that of {arms[spot].name}, too")
