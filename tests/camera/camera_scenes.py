@@ -1,6 +1,6 @@
 """An arm with known faults before a known camera, for the tests of this folder."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -68,7 +68,7 @@ def film_of(t, carried="board", names=()):
         shot = Shot(
             position=position,
             posture=k,
-            seen=BoardView(name=view.name, number=seen.number, pixel=seen.pixel),
+            seen=replace(seen, name=view.name),
         )
         film = film.with_shot(shot, (LENS.width, LENS.height))
     return film

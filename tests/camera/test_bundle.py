@@ -74,13 +74,9 @@ def _seen(found, pixel):
 def test_swapped_and_crooked_views_are_named_and_left_out():
     t = taken()
     views = list(t.views)
-    views[4], views[9] = (
-        BoardView(name=views[a].name, number=views[b].number, pixel=views[b].pixel) for a, b in ((4, 9), (9, 4))
-    )
+    views[4], views[9] = (replace(views[b], name=views[a].name) for a, b in ((4, 9), (9, 4)))
     rng = np.random.default_rng(0)
-    views[15] = BoardView(
-        name="bent", number=views[15].number, pixel=views[15].pixel + 3.0 * rng.standard_normal((24, 2))
-    )
+    views[15] = replace(views[15], name="bent", pixel=views[15].pixel + 3.0 * rng.standard_normal((24, 2)))
     found = film_of(replace(t, views=views)).fit(ARM)
     why = dict(found.left_out)
     assert set(why) == {"view-04.png", "view-09.png", "bent"}

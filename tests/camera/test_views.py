@@ -1,5 +1,6 @@
 """Rendered pictures are where the projection says, and what is wrong with a picture is named."""
 
+from dataclasses import replace
 from types import MappingProxyType
 
 import cv2
@@ -61,7 +62,7 @@ def test_the_tool_is_found_in_one_picture_and_not_where_the_board_is_hidden():
     wall = detector.find("p", np.full_like(render(rig, tcp_pose(ARM, links[0]), 0), 140))
     assert sighting(rig, wall, 0.0) == wall.why != ""
     view = taken().views[0]
-    bent = type(view)(name="bent", number=view.number, pixel=view.pixel + np.where(view.number % 2, 4.0, -4.0)[:, None])
+    bent = replace(view, pixel=view.pixel + np.where(view.number % 2, 4.0, -4.0)[:, None])
     assert "px beside those of a flat board" in sighting(rig, bent, 0.0)
 
 

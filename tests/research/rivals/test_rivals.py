@@ -12,6 +12,7 @@ from standin import inputs_of, state_of
 
 ARM = mycobot280()
 RANGES = BroadRanges(arm=ARM)
+REST = np.tile(ARM.rest, (2, 1))
 TARGET = np.array([[0.18, 0.02, 0.20], [0.2, -0.05, 0.18]])
 
 PLAIN = {
@@ -33,30 +34,30 @@ PLAIN = {
 
 def inputs(position, sent, time=0.0):
     state = state_of(position, time)
-    goal = find_postures(ARM, TARGET, np.tile(ARM.rest, (2, 1)), None)
+    goal = find_postures(ARM, TARGET, REST, None)
     return inputs_of(state, TARGET, goal, sent, time)
+
+
+def begun(law, posture):
+    law.reset(inputs(posture, posture), np.ones(2, dtype=bool))
+    return law
 
 
 def test_without_its_extras_the_schedule_integrates_the_joint_step():
     # No time since the target, so no ramp; one rate everywhere: what is left is the integral of the step.
-    posture = solve_position(ARM, TARGET + 0.004, np.tile(ARM.rest, (2, 1))).q
-    mine = ScheduledController(ARM, PLAIN)
-    mine.reset(inputs(posture, posture), np.ones(2, dtype=bool))
+    posture = solve_position(ARM, TARGET + 0.004, REST).q
+    mine = begun(ScheduledController(ARM, PLAIN), posture)
     sent = mine.command(inputs(posture, posture))
     step = dls_step(ARM, posture, TARGET).step
     np.testing.assert_allclose(sent - posture, NOMINAL_PERIOD * PLAIN["far_rate"] * step, rtol=1e-9)
 
 
 def test_gains_of_a_batch_act_arm_by_arm():
-    posture = np.tile(ARM.rest, (2, 1))
     both = {**PLAIN, "far_rate": np.array([[2.0], [6.0]]), "near_rate": np.array([[2.0], [6.0]])}
-    together = ScheduledController(ARM, both)
-    together.reset(inputs(posture, posture), np.ones(2, dtype=bool))
-    moved = together.command(inputs(posture, posture))
+    moved = begun(ScheduledController(ARM, both), REST).command(inputs(REST, REST))
     for i, rate in enumerate((2.0, 6.0)):
-        alone = ScheduledController(ARM, {**PLAIN, "far_rate": rate, "near_rate": rate})
-        alone.reset(inputs(posture, posture), np.ones(2, dtype=bool))
-        np.testing.assert_array_equal(alone.command(inputs(posture, posture))[i], moved[i])
+        alone = begun(ScheduledController(ARM, {**PLAIN, "far_rate": rate, "near_rate": rate}), REST)
+        np.testing.assert_array_equal(alone.command(inputs(REST, REST))[i], moved[i])
 
 
 def test_the_adaptive_law_learns_what_its_regressor_spans():
@@ -72,11 +73,10 @@ def test_the_adaptive_law_learns_what_its_regressor_spans():
         "derivative": 0.0,
         "prior": 0.5,
     }
-    law, start = AdaptiveController(ARM, gains), np.tile(ARM.rest, (2, 1))
-    law.reset(inputs(start, start), np.ones(2, dtype=bool))
-    goal = solve_position(ARM, TARGET, start).q
+    law, position = begun(AdaptiveController(ARM, gains), REST), REST
+    goal = solve_position(ARM, TARGET, REST).q
     load = gravity_torque(ARM, goal)
-    truth, position = 1.4 * load / 6.0, start
+    truth = 1.4 * load / 6.0
     for k in range(4000):
         position = law.command(inputs(position, position, time=0.025 * (k + 1))) - truth
     loaded = np.abs(load) > 0.1
@@ -100,7 +100,7 @@ def test_the_tuning_finds_the_bottom_of_a_known_valley(monkeypatch):
 
 
 def test_gains_must_be_those_of_the_rival():
-    for gains in ({"adaptive": {"rate": 1.0}}, {"tuned-feedforward": {}}):  # of a file that lacks this rival
+    for gains in ({"adaptive": {"rate": 1.0}}, {}):  # of a file that lacks this rival
         with pytest.raises(InputError, match="expected"):
             classical("adaptive", gains)
     with pytest.raises(InputError, match="tuned-feedforward"):
