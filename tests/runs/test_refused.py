@@ -28,7 +28,8 @@ def run(tmp_path):
 
 
 def test_an_arm_that_is_not_the_one_of_the_run(run):
-    calls = partial(rejoint.connect, NOBODY), partial(rejoint.diagnose, NOBODY), rejoint.identify, rejoint.train
+    stages = rejoint.connect, rejoint.diagnose, rejoint.repair
+    calls = *(partial(stage, NOBODY) for stage in stages), rejoint.identify, rejoint.train
     for call in calls:
         for other in ("so101", replace(ARM, floor=0.01)):
             with pytest.raises(rejoint.InputError, match="give another --run"):

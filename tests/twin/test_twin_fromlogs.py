@@ -152,7 +152,7 @@ def test_motion_in_which_a_joint_had_no_power_counts_for_the_others_alone(freedo
 
     def weights(*logs):
         problem = Problem(Replay(ARM, logs, cut(logs, 5.0)), unknown_prior(ARM), freedom=freedom)
-        return problem.weights(np.random.default_rng(0).normal(0.0, 0.01, problem.measured.shape))
+        return problem.weights(problem.powered * np.random.default_rng(0).normal(0.0, 0.01, problem.measured.shape))
 
     both, alone = weights(log, limp), weights(log)
     np.testing.assert_allclose(both[:, 1], np.append(alone[:, 1], 0.0 * alone[:, 1]))

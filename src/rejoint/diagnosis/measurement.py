@@ -297,8 +297,9 @@ def _known(data: ExcitationLog, laws: Sequence[Law | None]) -> list[Estimate | N
     torque = replace(data, log=replace(data.log, current=None))  # which would count instead of the torque
     by_torque = [_slope(fit_torque(torque, joint), TORQUES, KNOWN_WITHIN) for joint in range(data.arm.joints)]
     by_sag = _by_sag(data.arm, [None] * data.arm.joints if ZEROS in data.log.extra else laws, KNOWN_WITHIN)
-    sagging = [joint for joint, sag in enumerate(by_sag) if sag and by_torque[joint]]
-    carried = [fit.coefficients[SOFTNESS] for joint in sagging if (fit := fit_effort(torque, joint))]
+    loaded = np.ptp(data.gravity, axis=0) >= LOADED * torque_size(data.arm)
+    told = [joint for joint in np.flatnonzero(loaded) if by_torque[joint]]
+    carried = [fit.coefficients[SOFTNESS] for joint in told if (fit := fit_effort(torque, joint))]
     if carried and not 1.0 / SURE_WITHIN < np.median(carried) < SURE_WITHIN:
         return by_sag  # the column holds no torques of the joints: another unit, or before the gear
     return [one or sag for one, sag in zip(by_torque, by_sag, strict=True)]

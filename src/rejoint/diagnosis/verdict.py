@@ -291,10 +291,10 @@ def offset(case: _Case) -> Found:
     doubt = 0.0 if k is None else GRAVITY_DOUBT * weight / k.value
     if not max(case.low("offset_rad"), -case.high("offset_rad")) > OFFSET_ALLOWED + doubt:
         return None
-    rest = (case.levers * case.errors).mean()  # a servo with an integral term rests nearer
-    return min(case.lever * abs(case.value("offset_rad")), rest or np.inf), (
-        "has an offset or a dead band: it rests beside its command by about the same angle everywhere,"
-    )
+    cost = case.lever * abs(case.value("offset_rad"))
+    if case.errors.any():  # a servo with an integral term rests nearer
+        cost = min(cost, (case.levers * case.errors).mean())
+    return cost, ("has an offset or a dead band: it rests beside its command by about the same angle everywhere,")
 
 
 def noise(case: _Case) -> Found:

@@ -184,7 +184,7 @@ def repair(
     tunable = _is_tunable(robot, built)
     maker = ControllerMaker(built, period_of(robot, chosen.period))
     maker.require_possible(what.controllers, tunable=tunable, posed=posed)
-    about = Run.plan(run, address_of(robot), built, chosen.seed)
+    about = opened(Run.plan(run, address_of(robot), built, chosen.seed), built)
     chosen, told = settled(chosen, about, robot)
     watching = as_options(observer, Observer)
     if told:

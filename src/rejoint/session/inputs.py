@@ -153,11 +153,14 @@ def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> 
 
 
 def opened(run: RunLike, arm: ArmLike | None) -> Run:
-    """Open a run; InputError if it is not of the ``arm``."""
+    """Open a run, with the boxes of the ``arm`` too; InputError if it is of another."""
     found = Run.open(run)
-    if arm is not None:
-        found.require(load_arm(arm))
-    return found
+    if arm is None:
+        return found
+    given = load_arm(arm)
+    found.require(given)
+    boxes = each_once(*found.arm.keep_out, *given.keep_out)
+    return replace(found, arm=replace(found.arm, keep_out=boxes))
 
 
 def run_of_logs(run: RunLike | None, logs: LogsLike, arm: ArmLike | None) -> tuple[Run | None, Arm]:

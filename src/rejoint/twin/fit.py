@@ -93,12 +93,12 @@ class Problem:
         self.frozen = ~np.isin(self.layout.kind, self._live)
 
     def residuals(self, vectors: Array) -> Array:
-        """Predicted minus measured positions (m, rows, n) [rad] for vectors (m, k)."""
-        return self.replay.predict(unpack(vectors, self.joints)) - self.measured
+        """Predicted minus measured positions (m, rows, n) [rad] for vectors (m, k); zero without power."""
+        return (self.replay.predict(unpack(vectors, self.joints)) - self.measured) * self.powered
 
     def weights(self, residual: Array) -> Array:
         """Weights (rows, n) [1/rad^2] of squared residuals (rows, n), by their scale."""
-        share = self.shares(residual)
+        share = self.shares(residual) * self.powered
         square = 2.0 * (share * loss(residual)).sum(axis=0) / np.maximum(self.powered.sum(axis=0), 1)
         scale = np.maximum(np.sqrt(square), self.floor)
         return share / (scale**2 * self.dependent)
@@ -109,13 +109,13 @@ class Problem:
         Iteratively reweighted (Lange, Little and Taylor 1989).
         """
         if self.freedom == np.inf:
-            return self.powered.astype(float)
-        count, total = self._by_window(self.powered), self._by_window(self.powered * loss(residual))
+            return np.ones_like(residual)
+        count, total = self._by_window(self.powered), self._by_window(loss(residual))
         by_window, share = total / np.maximum(count, 1.0), np.ones_like(total)
         for _ in range(ROUNDS):
             scale = (share * total).sum(axis=0) / np.maximum(count.sum(axis=0), 1.0)
             share = (self.freedom + 1.0) / (self.freedom + by_window / np.maximum(scale, 0.5 * self.floor**2))
-        return share[self.window] * self.powered
+        return share[self.window]
 
     def _by_window(self, values: Array) -> Array:
         """Sum values (rows, n) in each window."""
@@ -363,8 +363,8 @@ def limiting(problem: Problem, x: Array) -> Mask:
 
 COMMON = 0.10
 """Sigma of the log mass of all links; chosen"""
-BRAKED = 0.01
-"""Factor on the largest speed by which all damping acts beside the torque limit; chosen"""
+EMF = 1.0
+"""Sigma of the log no-load speed; chosen"""
 STEP = 0.05
 """Finite-difference step of the logarithms; chosen"""
 
@@ -384,7 +384,7 @@ def fixed_covariance(
         pull = problem.system(jacobian, weight, change)[1]
         moved.append(np.where(problem.frozen | found.at_bound, 0.0, pull))
     by = np.linalg.solve(curvature, np.array(moved).T)
-    by[problem.layout.kind != TORQUE_LIMIT, -1] = 0.0  # measured: how damping divides moves the limit alone
+    by[problem.layout.kind != TORQUE_LIMIT, -1] = 0.0  # measured: the no-load speed, the last, moves the limit alone
     return by @ by.T
 
 
@@ -397,4 +397,4 @@ def others(replay: Replay) -> Iterator[tuple[Replay, float]]:
         yield replace(replay, arm=heavier), sigma
     for row in np.eye(arm.joints):
         yield replace(replay, arm=replace(arm, com=arm.com * np.exp(STEP * row)[:, None])), CENTRE
-    yield replace(replay, arm=replace(arm, max_speed=BRAKED * arm.max_speed)), STEP / NORMAL95
+    yield replace(replay, arm=replace(arm, max_speed=arm.max_speed * np.exp(STEP))), EMF

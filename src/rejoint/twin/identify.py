@@ -177,8 +177,13 @@ def fitted_twin(
     clusters: Index,
     held_out: HeldOut,
     table: TablePlane | None = None,
+    *,
+    doubted: bool = False,
 ) -> Twin:
-    """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen bound it."""
+    """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen bound it.
+
+    No torque is identified where the sag is ``doubted``.
+    """
     replay, belief, at = problem.replay, problem.prior, problem.layout.at
     covariance, unreached = uncertainty(problem, found, clusters), ~limited(problem, found.vector)
     place, vector = at("torque_limit"), found.vector.copy()
@@ -186,6 +191,7 @@ def fitted_twin(
     parameters = unpack(vector, problem.joints)
     narrowing = np.sqrt(np.diag(covariance)) / (belief.sigma if belief.told is None else belief.told)
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen
+    identified &= not doubted or ~belief.layout.is_log
     held, limit = largest_static_torque(replay, parameters.coulomb), parameters.torque_limit
     identified[place] &= ~unreached
     light = np.abs(problem.gravity) < LIGHT_SAG * parameters.stiffness
@@ -288,12 +294,8 @@ def identify_logs(
         motions = replace(motions, logs=sorted(at_gain(logs, gain), key=lambda log: log.label))
         problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
     on_progress(0.9, "intervals")
-    if doubt := sag_doubt(motions.data):  # then it tells no scale
-        belief, at = problem.prior, problem.layout.at
-        sigma, told = belief.sigma.copy(), belief.sigma if belief.told is None else belief.told
-        sigma[at("compensation")] = told[at("stiffness")]
-        problem.prior = replace(belief, sigma=sigma)
-    twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table)
+    doubt = sag_doubt(motions.data)
+    twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table, doubted=bool(doubt))
     return replace(
         twin,
         gain=gain,
