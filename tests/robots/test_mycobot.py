@@ -18,7 +18,6 @@ from emulatedservers import serve_pty, serve_tcp
 from rejoint.arms import mycobot280, tcp_position
 from rejoint.control.controllers.classical import IntegratorController
 from rejoint.control.loop import Schedule, run
-from rejoint.control.robot import Robot
 from rejoint.robots import bus as link_module
 from rejoint.robots import open_robot
 from rejoint.robots.family import Wire
@@ -150,7 +149,6 @@ def test_a_good_arm(start):
     before = logging.getLogger().handlers[:]
     robot, fake = start()
     assert logging.getLogger().handlers == before, "the client's side effects are undone"
-    assert isinstance(robot, Robot)
     assert fake.fresh
     assert not {SEND, POWER_ON} & set(fake.seen), "opening it moves nothing"
     state = robot.read()

@@ -53,20 +53,11 @@ def test_a_family_of_another_package_is_found_by_its_scheme(install):
         open_robot("x:left", count=2)
 
 
-def test_an_unknown_scheme_lists_the_forms_of_all_families_and_who_is_broken(install):
+def test_a_broken_family_harms_no_other(install):
     install("robot-x", "x")
     install("robot-broken", "broken", "import no_such_module_of_anybody")
-    with pytest.raises(AddressError) as caught:
-        place_of("carrier-pigeon:1")
-    line = str(caught.value)
-    assert "emulated:PROFILE" in line
-    assert "tcp://HOST:PORT" in line
-    assert "x:NAME" in line
-    assert "robot-broken 1.2" in line
-    assert "no_such_module_of_anybody" in line
-    assert "\n" not in line
-    assert place_of("x:1").detail == "1", "the others work"
-    with pytest.raises(AddressError, match=r"robot-broken 1\.2 .*ModuleNotFoundError.*update or remove it"):
+    assert place_of("x:1").detail == "1"
+    with pytest.raises(AddressError, match=r"robot-broken 1\.2 .*ModuleNotFoundError"):
         place_of("broken:1")
 
 

@@ -1,7 +1,5 @@
 """Rows that runs and checks leave: written by many at once, read in place, damaged one by one."""
 
-import threading
-import time
 from dataclasses import replace
 from datetime import datetime, timedelta
 
@@ -81,26 +79,6 @@ def test_a_damaged_file_loses_only_itself(tmp_path):
     assert any(str(paths[1]) in problem for problem in unread)
     with pytest.raises(FileError, match="delete it"):
         read_rows(paths[1])
-
-
-def test_many_write_at_once(tmp_path):
-    """Several writers and a reader: every row is there at the end, and none is ever half there."""
-    problems: list[tuple[str, ...]] = []
-
-    def write(writer):
-        for i in range(15):
-            put(tmp_path, f"{writer}-{i}", rows_of(head(i, arm=f"a{writer}"), measures()))
-
-    threads = [threading.Thread(target=write, args=(writer,)) for writer in range(4)]
-    for thread in threads:
-        thread.start()
-    while any(thread.is_alive() for thread in threads):
-        problems.append(find_rows(tmp_path)[1])
-        time.sleep(0.01)
-    rows, unread = find_rows(tmp_path)
-    assert not unread
-    assert not any(problems)
-    assert len(rows) == 4 * 15 * 3
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ def test_torque_tells_the_stiffness_and_a_sag_no_more_than_it_can(share):
         assert share < 1.0 or np.isnan(low).all()
 
 
-@pytest.mark.parametrize(("share", "gear"), [(0.0, 6.33), (0.0, 0.001), (1.0, 6.33)])
+@pytest.mark.parametrize(("share", "gear"), [(0.0, 0.001), (1.0, 6.33)])
 def test_torques_of_motors_or_in_another_unit_are_not_believed(share, gear):
     _, low, high = stiffness(motions(share), gear).T
     assert not ((low > 1.0) | (high < 1.0)).any()

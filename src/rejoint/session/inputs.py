@@ -153,7 +153,7 @@ def as_calibration(given: CalibrationLike | None, run: Run | None, arm: Arm) -> 
 
 
 def opened(run: RunLike, arm: ArmLike | None) -> Run:
-    """Open a run, with the boxes of the ``arm`` too; InputError if it is of another."""
+    """Open a run, with boxes of the ``arm``; InputError for another."""
     found = Run.open(run)
     if arm is None:
         return found

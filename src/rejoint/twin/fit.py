@@ -8,7 +8,7 @@ Cameron and Miller 2015), with Student's quantile. Clusters are motions, or stre
 scores alone (Huber 1967) are too narrow.
 
 What a fit holds fixed widens it too ("consider" covariance, Schmidt 1966; Bierman 1977, chapter 8). A torque limit that
-explains no motion shows nothing, nor does that of a joint whose motion is not explained: the prior remains.
+explains no motion shows nothing, nor does that of a joint that is not explained.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -225,7 +225,7 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
 
 
 def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: int) -> Array:
-    """Random search from ``starts`` (s, k), joint by joint; needed where saturation hides stiffness."""
+    """Search at random from ``starts`` (s, k), joint by joint: saturation hides stiffness."""
     prior, candidates = problem.prior, starts
     for i in range(rounds):
         residuals = problem.residuals(candidates)
@@ -251,7 +251,7 @@ def _pressed(prior: Prior, x: Array, gradient: Array) -> Mask:
 
 
 def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed: Mask) -> Array:
-    """Return new vectors (d, k), one per damping, within bounds and a prior sigma of ``x``."""
+    """Return new vectors (d, k), one per damping, within bounds and a sigma of ``x``."""
     free = np.flatnonzero(~fixed)
     block, sigma = curvature[np.ix_(free, free)], problem.prior.sigma[free]
     damped = block + np.multiply.outer(DAMPINGS, np.diag(np.diag(block)))
@@ -261,7 +261,7 @@ def _steps(problem: Problem, x: Array, curvature: Array, gradient: Array, fixed:
 
 
 def line_up(problem: Problem, candidates: Array, residuals: Array, weights: Array) -> tuple[Array, float, Array]:
-    """Best of the candidates (s, k) and of the mixture of each joint's best; returns its gain and residuals too.
+    """Best of the candidates (s, k) and the mixture of each joint's best; returns gain and residuals too.
 
     ``residuals`` (r, rows, n) of the first candidates.
     """
@@ -288,7 +288,7 @@ def influence(residual: Array) -> Array:
 
 
 def explained(residual: Array) -> Mask:
-    """(n,) whether the motion of each joint is explained, by rms residuals (rows, n) [rad]."""
+    """(n,) whether each joint is explained, by rms residuals (rows, n) [rad]."""
     return np.asarray((residual**2).mean(axis=0) < HUBER**2)
 
 
@@ -314,7 +314,7 @@ def uncertainty(problem: Problem, found: Fit, clusters: Index) -> Array:
 
 
 def _scale(problem: Problem, x: Array) -> Array:
-    """Covariance (k, k) of each joint's common scale, by the ladder and by the prior's gravity."""
+    """Covariance (k, k) of joints' common scales, by the ladder and the prior's gravity."""
     owner, sigma = problem.owner, problem.prior.sigma[problem.layout.at("compensation")]
     up, down = problem.rescaled(x, (SCALE_STEP**0.5, SCALE_STEP**-0.5))
     sag = np.zeros_like(x)  # gravity that is fed forward, or of other masses, looks like an offset
@@ -354,7 +354,7 @@ def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
 
 
 def limiting(problem: Problem, x: Array) -> Mask:
-    """(n,) whether each joint's motion is explained, and worse without its torque limit in ``x`` (k,)."""
+    """(n,) whether each joint is explained, and worse without its torque limit in ``x`` (k,)."""
     unlimited = np.where(problem.layout.kind == TORQUE_LIMIT, problem.prior.upper, x)
     residuals = problem.residuals(np.array([x, unlimited]))
     losses = loss(residuals).sum(axis=1)

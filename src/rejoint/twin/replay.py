@@ -1,4 +1,4 @@
-"""Open-loop replay: a twin under the commands of a run log; windows of logs, and the motions that are held out.
+"""Open-loop replay of run logs by twins; windows of logs, and motions that are held out.
 
 Windows start from the measured state and run as one batch. The delay contains the age of the reading. A log may declare
 (`RunLog.extra`) ``gain``, the servos' position gain over the twin's (``0.5`` or ``1 0.5 1``), and ``torque_off``, spans
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     from rejoint.twin.twin import TablePlane
 
 RESTED, FLICKER = 1.0, 1.5
-"""[s] from which a joint rests, and encoder steps by which its reading changes; chosen"""
+"""[s] of rest, and encoder steps by which its reading changes; chosen"""
 
 PARTS = 6
-"""Instants of a step whose mean reference counts; chosen: a delay is then exact to a twelfth of a step"""
+"""Instants of a step whose mean reference counts; chosen"""
 VELOCITY = 2
 """Rows on each side of a velocity; chosen"""
 GAP, REGULAR = 1.5, 0.8
@@ -82,7 +82,7 @@ def in_force(log: RunLog) -> Array:
 
 
 def sent(log: RunLog) -> tuple[Array, Array]:
-    """Return times (T,) [s] and commands (T, n) [rad], interpolated where rows of an imported, regular log are lost."""
+    """Return times (T,) [s] and commands (T, n) [rad]; interpolated where imported regular logs lost rows."""
     steps = np.diff(log.time) / log.period
     if "format" not in log.extra or np.quantile(steps, REGULAR) > GAP:
         return log.time, log.command
@@ -137,7 +137,7 @@ class Replay:
         return self._rows(in_force)
 
     def _rows(self, values: Callable[[RunLog], Array]) -> Array:
-        """Rows of all windows, one after the other, of a log's ``values`` (T, ...)."""
+        """Rows of all windows of a log's ``values`` (T, ...)."""
         return np.concatenate([values(self.logs[w.log])[w.first : w.last] for w in self.windows])
 
     @cached_property
@@ -151,7 +151,7 @@ class Replay:
 
     @cached_property
     def _resting(self) -> Mask:
-        """(windows, n) joints that stand still under an unchanged command at first."""
+        """(windows, n) joints that first stand still under an unchanged command."""
         both = self._rows(lambda log: np.stack([log.position, log.command], axis=1))  # (rows, 2, n)
         first = [both[(self.window == w) & (self.time < RESTED)] for w in range(len(self.windows))]
         return np.array([(np.ptp(rows, axis=0) < FLICKER * self.arm.encoder_step).all(axis=0) for rows in first])
@@ -270,7 +270,7 @@ def recorded_gain(logs: Sequence[RunLog]) -> Array | None:
 
 
 def at_gain(logs: Sequence[RunLog], reference: Array | None) -> list[RunLog]:
-    """Declare recorded P gains over ``reference`` (n,), but for logs that declare their own."""
+    """Declare recorded P gains over ``reference`` (n,), unless logs declare their own."""
     found = []
     for log in logs:
         own = recorded_gain([log])
@@ -356,7 +356,7 @@ def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> l
 
 
 def farthest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
-    """Keep about ``seconds`` [s] of the windows that are farthest from their commands: limits show there."""
+    """Keep about ``seconds`` [s] of the windows farthest from their commands: limits show there."""
     off = [-np.abs(logs[w.log].command - logs[w.log].position)[w.first : w.last].max() for w in windows]
     order = np.argsort(off, kind="stable")
     passed = np.cumsum(durations(windows, logs)[order])

@@ -30,7 +30,7 @@ FACTORS = 2.0 ** (np.arange(-6, 7) / 3)
 DELAYS = (-0.008, -0.004, 0.0, 0.004, 0.008, 0.012)
 """[s] changes of the delay to try with them; chosen"""
 EARLIER = 0.01
-"""[s] of delay that imitates a limited acceleration; measured on a real low-cost arm"""
+"""[s] of delay that imitates a limited acceleration; measured"""
 
 GAIN = 0.02
 """Least first gain of a limit; chosen"""
@@ -42,7 +42,7 @@ STARTS = 8
 NEAR = 0.2
 """Relative loss of a good first fit; chosen"""
 EFFORT, TRIALS, WIDER = 3e4, 100, 2.0
-"""Readings times joints of descents from random starts, trials for each, their spread over the prior's; chosen"""
+"""Readings times joints of descents from random starts, trials for each, spread over the prior's; chosen"""
 DESCENTS = 3
 """Descents for joints whose motion is not explained; measured: 6 are equal"""
 SHORT = 3
@@ -74,7 +74,7 @@ class Structure:
 
     @property
     def prior(self) -> Prior:
-        """Belief without what is frozen; dry friction is less known where it may grow with load."""
+        """Belief without what is frozen; dry friction that may grow with load is less known."""
         belief, kind = self.belief, self.belief.layout.kind
         off = np.isin(kind, [number(name) for name in self.frozen if name in LIMITS])
         changed, factor = ("load_friction", ABSENT) if "load_friction" in self.frozen else ("coulomb", EITHER)
@@ -173,7 +173,7 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
 
 
 def find_structure(make: Callable[[Structure], Problem], structure: Structure, start: Array) -> tuple[Structure, Array]:
-    """Compare structures on the same windows, from a simple one and its ``start`` (k,); returns the best's optimum too.
+    """Compare structures on the same windows, from a simple one and its ``start`` (k,); returns the optimum too.
 
     ``make`` turns a structure into a problem.
     """
@@ -221,7 +221,7 @@ def with_both(problem: Problem, x: Array) -> Array:
 
 
 def limited(problem: Problem, x: Array) -> Mask:
-    """Joints (n,) whose torque limit shows: without it, their motion is explained worse."""
+    """Joints (n,) whose motion is explained worse without their torque limit."""
     place = problem.layout.at("torque_limit")
     lifted = np.tile(x, (problem.joints, 1))
     np.fill_diagonal(lifted[:, place], problem.prior.upper[place])
@@ -230,7 +230,7 @@ def limited(problem: Problem, x: Array) -> Mask:
 
 
 def drive_torque(problem: Problem, x: Array, share: float = SELDOM) -> Array:
-    """(n,) [N m] servo torque without limit, exceeded in a ``share`` of the rows; a stalled joint lags further."""
+    """(n,) [N m] servo torque without limit, exceeded in a ``share`` of the rows."""
     parameters = unpack(x, problem.joints)
     lead = problem.replay.references(parameters) + parameters.offset - problem.measured
     lead = np.minimum(np.abs(lead), np.abs(lead - problem.residuals(x[None])[0]))
@@ -239,7 +239,7 @@ def drive_torque(problem: Problem, x: Array, share: float = SELDOM) -> Array:
 
 
 def explains(problem: Problem, x: Array, simpler: Array) -> bool:
-    """Whether ``x`` (k,) explains the motion clearly better than ``simpler`` (k,)."""
+    """Whether ``x`` (k,) explains clearly more than ``simpler`` (k,)."""
     return bool(_ratio(_losses(problem, x), _losses(problem, simpler)) < 1.0 - LIMIT_GAIN)
 
 

@@ -106,11 +106,3 @@ def test_damaged_files_are_named(tmp_path, name, arm, diagnosis):
         write_report(tmp_path)
     assert error.value.path == path
     assert not (tmp_path / "report.html").exists()
-
-
-def test_a_damaged_log_is_named(run_folder):
-    path = run_folder.log("hold/policy/0/0")
-    path.write_bytes(path.read_bytes()[:500])
-    with pytest.raises(FileError) as error:
-        write_report(run_folder.path)
-    assert error.value.path == path
