@@ -298,7 +298,7 @@ def _known(data: ExcitationLog, laws: Sequence[Law | None]) -> list[Estimate | N
     by_torque = [_slope(fit_torque(torque, joint), TORQUES, KNOWN_WITHIN) for joint in range(data.arm.joints)]
     by_sag = _by_sag(data.arm, [None] * data.arm.joints if ZEROS in data.log.extra else laws, KNOWN_WITHIN)
     loaded = np.ptp(data.gravity, axis=0) >= LOADED * torque_size(data.arm)
-    told = [joint for joint in np.flatnonzero(loaded) if by_torque[joint]]
+    told = [joint for joint in np.flatnonzero(loaded).tolist() if by_torque[joint]]
     carried = [fit.coefficients[SOFTNESS] for joint in told if (fit := fit_effort(torque, joint))]
     if carried and not 1.0 / SURE_WITHIN < np.median(carried) < SURE_WITHIN:
         return by_sag  # the column holds no torques of the joints: another unit, or before the gear
