@@ -294,7 +294,7 @@ def offset(case: _Case) -> Found:
     cost = case.lever * abs(case.value("offset_rad"))
     if case.errors.any():  # a servo with an integral term rests nearer
         cost = min(cost, (case.levers * case.errors).mean())
-    return cost, ("has an offset or a dead band: it rests beside its command by about the same angle everywhere,")
+    return cost, "has an offset or a dead band: it rests beside its command by about the same angle everywhere,"
 
 
 def noise(case: _Case) -> Found:

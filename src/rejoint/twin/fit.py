@@ -98,7 +98,7 @@ class Problem:
 
     def weights(self, residual: Array) -> Array:
         """Weights (rows, n) [1/rad^2] of squared residuals (rows, n), by their scale."""
-        share = self.shares(residual) * self.powered
+        share = self.shares(residual)
         square = 2.0 * (share * loss(residual)).sum(axis=0) / np.maximum(self.powered.sum(axis=0), 1)
         scale = np.maximum(np.sqrt(square), self.floor)
         return share / (scale**2 * self.dependent)
