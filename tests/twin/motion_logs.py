@@ -49,8 +49,11 @@ def wandering(seed, seconds, centre=(0.0, -0.4, 0.2, 0.3, 0.0), size=0.25):
     return time, command
 
 
-def record(label, time, command, truth=TRUTH, table=None, acceleration=np.inf, own=ARM):
-    """Run log of the arm with the links ``own`` whose twin is ``truth``; commands are in force from each row on."""
+def record(label, time, command, truth=TRUTH, table=None, acceleration=np.inf, own=ARM, integral=0.0):
+    """Run log of the arm with the links ``own`` whose twin is ``truth``; commands are in force from each row on.
+
+    Its controller has an ``integral`` gain [1/s] over the stiffness.
+    """
     twin = truth.repeat(1)
     arm = ChainBatch(own, 1, STEP) if table is None else TableBatch(own, twin, [table], STEP)
     if table is None:
@@ -62,7 +65,11 @@ def record(label, time, command, truth=TRUTH, table=None, acceleration=np.inf, o
     grid = np.arange(int((time[-1] - time[0]) / STEP) + 2) * STEP + time[0]
     control = reference.sample(grid, np.atleast_1d(truth.delay))[0]
     arm.rollout(np.tile(control[:1], (1, 400, 1)))
-    path = np.vstack([arm.qpos.copy(), arm.rollout(control[None])[0]])
+    path, taken = [arm.qpos[0].copy()], np.zeros(ARM.joints)
+    for aim in control:
+        taken = taken + STEP * integral * (aim - path[-1])
+        path.append(arm.rollout((aim + taken)[None, None])[0, -1])
+    path = np.array(path)
     clock = time[0] + np.arange(len(path)) * STEP
     position = np.stack([np.interp(time, clock, column) for column in path.T], axis=1)
     position = np.round(position / ARM.encoder_step) * ARM.encoder_step

@@ -62,6 +62,9 @@ CLEARER, DOUBTED = 2.0, 25.0
 and beyond it, but for loads without the joint that gains most; chosen: right zeros reach 6 beyond, 18 with wrong masses
 """
 
+FADED, BEYOND = 1.2, 5.0
+"""The same for sag that fades; measured: at most 0.9 without an integral term, at least 1.5 with one"""
+
 LOADS = np.arange(0.05, 1.01, 0.05)
 """Loads at the tip, over the mass of the arm, that might explain the sag; chosen"""
 
@@ -248,7 +251,7 @@ def _laws(data: ExcitationLog) -> list[Law | None]:
 
 
 def sag_doubt(data: ExcitationLog) -> str:
-    """Doubt about base, signs, order, zeros or load: where others clearly explain the sag better; else empty."""
+    """Doubt about base, signs, order, zeros, load or controller where others explain the sag better; else empty."""
     if not data.log.commanded or data.log.period > COARSEST:
         return ""
     eye, free = np.eye(data.arm.joints), data.of_kind(FREE)
@@ -278,10 +281,17 @@ def sag_doubt(data: ExcitationLog) -> str:
             along = np.concatenate([c * GRAVITY, [0.0], 0.5 * np.kron(one, [1.0 - c + s, 1.0 - c - s])])
             zero = f"{name} stood {degrees:+d} degrees from where it reads: check its zero, then the load"
             zeros.append((_explained(pulls, along), zero))
+    fading = np.append(np.zeros(pulls.shape[-1] - 2), 1.0)
+    integral = "the controller integrated its error, which hides stiffness and friction: switch its integral term off"
     found = []
-    for guesses, clearer, last in ((tried, CLEARER, -1), (loads, 1.0, None), (zeros, 1.0, -1)):
+    for guesses, clearer, beyond, last in (
+        (tried, CLEARER, DOUBTED, -1),
+        (loads, 1.0, DOUBTED, None),
+        (zeros, 1.0, DOUBTED, -1),
+        ([(_explained(pulls, fading), integral)], FADED, BEYOND, None),
+    ):
         best, words = max(guesses, key=lambda one: one[0].sum())
-        if best.sum() >= clearer * right.sum() and np.sort(best - right)[:last].sum() >= DOUBTED:
+        if best.sum() >= clearer * right.sum() and np.sort(best - right)[:last].sum() >= beyond:
             found.append((best.sum(), words))
     return f"joints sag as if {max(found)[1]}" if found else ""
 

@@ -195,6 +195,9 @@ CHANCE = 3.0
 LIMITED = 0.97
 """Share of the largest torque that may be a limit; chosen"""
 
+FADE = 2.0
+"""[s] in which an integral term takes the load over; chosen: tells 0.5 to 10 s"""
+
 LAG, WIDTH, INERTIA, SOFTNESS, OFFSET = range(5)
 """Coefficients: d/k [s], F/k [rad], J/k [s^2], 1/k [rad/(N m)], offset [rad]"""
 
@@ -272,14 +275,15 @@ def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, A
 
 
 def mirrored_pulls(data: ExcitationLog, mirrors: Array) -> Array:
-    """Sag (M, n, 5 + 2 n, 5 + 2 n) as `Law.moments`, as if angles (n,) were times ``mirrors`` (M, n, n).
+    """Sag (M, n, 6 + 2 n, 6 + 2 n) as `Law.moments`, as if angles (n,) were times ``mirrors`` (M, n, n).
 
     By gravity along each axis of the base, by 1 kg at the tip, and, for the first mirror, by gravity with each joint
-    turned by 90 and by -90 degrees. Mirrors exchange joints or turn their signs. Zeros where no law can be fitted.
+    turned by 90 and by -90 degrees, and by gravity that fades. Mirrors exchange joints or turn their signs. Zeros
+    without a law.
     """
     motions = [_motion(data, joint, np.zeros(1), fast=False) for joint in range(data.arm.joints)]
     quarters = 0.5 * np.pi * np.kron(np.eye(data.arm.joints), [[1.0], [-1.0]])
-    size = 5 + len(quarters)
+    size = 6 + len(quarters)
     found, log = np.zeros((*mirrors.shape[:2], size, size)), data.log
     for (k, joint), own in np.ndenumerate(np.abs(mirrors).argmax(axis=-1)):
         motion, mirror = motions[int(own)], mirrors[k]
@@ -287,16 +291,27 @@ def mirrored_pulls(data: ExcitationLog, mirrors: Array) -> Array:
             position = interpolated(motion.time, log.time, log.position) @ mirror
             pulls = [gravity_torque(data.arm, position, axis)[:, joint] for axis in np.eye(3)]
             tip = position_kinematics(data.arm, position)[1][:, :, joint] @ -GRAVITY
-            turned = [gravity_torque(data.arm, position + turn)[:, joint] if k == 0 else 0.0 * tip for turn in quarters]
+            others = np.zeros((size - 5, len(tip)))
+            if k == 0:
+                turned = [gravity_torque(data.arm, position + turn)[:, joint] for turn in quarters]
+                others = np.stack([*turned, _faded(data, joint, motion.time)])
             design = np.column_stack([np.delete(motion.design, SOFTNESS, axis=1), *pulls, tip])
             error = mirror[joint, own] * motion.error[0]
             kept = _usual(error, design)
-            rows = np.column_stack([design, *turned, error])[kept]
+            rows = np.column_stack([design, *others, error])[kept]
             root = np.linalg.qr(np.pad(rows, ((0, size), (0, 0))), mode="r")[-size:, -size:]  # type: ignore[call-overload]
             found[k, joint] = (
                 root * len(np.unique(motion.cluster[kept])) ** 0.5 / max(np.linalg.norm(root[4:, -1]), 1e-150)
             )
     return found
+
+
+def _faded(data: ExcitationLog, joint: int, time: Array) -> Array:
+    """Gravity's torque (N,) at ``time`` (N,) that an integral term has not taken over."""
+    grid, keeps = np.arange(data.log.time[0], data.log.time[-1], _GRID), np.exp(-_GRID / FADE)
+    pull = np.interp(grid, data.log.time, data.gravity[:, joint])
+    taken = signal.lfilter([1.0 - keeps], [1.0, -keeps], pull, zi=keeps * pull[:1])[0]
+    return np.interp(time, grid, pull - taken)
 
 
 def _left(values: Array, design: Array) -> Array:

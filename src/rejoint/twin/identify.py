@@ -182,7 +182,7 @@ def fitted_twin(
 ) -> Twin:
     """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen bound it.
 
-    No torque is identified where the sag is ``doubted``.
+    Nothing is identified where the sag is ``doubted``.
     """
     replay, belief, at = problem.replay, problem.prior, problem.layout.at
     covariance, unreached = uncertainty(problem, found, clusters), ~limited(problem, found.vector)
@@ -190,8 +190,7 @@ def fitted_twin(
     vector[place] = np.where(unreached, belief.upper[place], vector[place])
     parameters = unpack(vector, problem.joints)
     narrowing = np.sqrt(np.diag(covariance)) / (belief.sigma if belief.told is None else belief.told)
-    identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen
-    identified &= not doubted or ~belief.layout.is_log
+    identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen & (not doubted)
     held, limit = largest_static_torque(replay, parameters.coulomb), parameters.torque_limit
     identified[place] &= ~unreached
     light = np.abs(problem.gravity) < LIGHT_SAG * parameters.stiffness
