@@ -26,8 +26,10 @@ from rejoint_lab.plant.wear import load_wear
 from standin import now_at
 
 ARM = mycobot280()
+HERE, THERE = [0.18, 0.03, 0.21], [0.17, 0.0, 0.2]
+WALL = Box(lower=np.array([0.15, -0.15, 0.0]), upper=np.array([0.3, -0.08, 0.3]))
 TIME = np.linspace(0.0, 4.0, 100)
-WAVE = np.array([0.17, 0.0, 0.2]) + 0.02 * np.sin(np.pi * TIME / 4.0)[:, None] * np.array([0.0, 1.0, 1.0])
+WAVE = np.array(THERE) + 0.02 * np.sin(np.pi * TIME / 4.0)[:, None] * np.array([0.0, 1.0, 1.0])
 
 
 def a_twin() -> Twin:
@@ -51,6 +53,10 @@ def run(tmp_path: Path) -> Path:
     return Run.create(tmp_path, "emulated:worn", ARM).path
 
 
+def connected(run: Path | None = None, **settings: object) -> rejoint.Session:
+    return rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(**settings))
+
+
 @contextmanager
 def held(arm: rejoint.Session) -> Iterator[None]:
     """Let no cycle of a motion end before the block does, however slow the machine is."""
@@ -65,20 +71,20 @@ def held(arm: rejoint.Session) -> Iterator[None]:
 
 
 def test_an_arm_goes_to_points_and_leaves_one_log(run):
-    with rejoint.connect("emulated:worn", run=run) as arm:
+    with connected(run) as arm:
         assert arm.controller == "shelf", "nothing better is there yet"
         before = arm.state
         assert before.target_m is None
         assert not before.moving
-        end = arm.move_to([0.18, 0.03, 0.21], within_m=0.003)
+        end = arm.move_to(HERE, within_m=0.003)
         assert end.error_m < 0.004
         np.testing.assert_allclose(end.tool_m, tcp_position(ARM, end.joints_rad))
         with held(arm):
-            assert arm.move_to([0.17, 0.0, 0.2], within_m=0.003, wait=False) is None
+            assert arm.move_to(THERE, within_m=0.003, wait=False) is None
             with pytest.raises(rejoint.NotReadyError, match="still on its way"):
-                arm.move_to([0.18, 0.03, 0.21])
+                arm.move_to(HERE)
         assert arm.wait().error_m < 0.004
-        arm.move_to([0.18, 0.03, 0.21], wait=False)
+        arm.move_to(HERE, wait=False)
         arm.stop()
         assert not arm.state.moving
     ((name, log),) = Run.open(run).logs.items()
@@ -91,12 +97,12 @@ def test_the_tool_is_where_the_calibration_puts_it():
     displacement = replace(Displacement.none(ARM), offset=np.radians([0.0, 2.0, 0.0, 0.0, 0.0, 0.0]))
     settings = rejoint.Settings(calibration=made_calibration(ARM, displacement))
     with rejoint.connect("emulated:healthy", settings=settings) as arm:
-        there = arm.move_to([0.18, 0.03, 0.21], within_m=0.002)
+        there = arm.move_to(HERE, within_m=0.002)
         np.testing.assert_allclose(there.tool_m, displacement.tool(ARM, there.joints_rad), atol=1e-9)
-        np.testing.assert_allclose(there.tool_m, [0.18, 0.03, 0.21], atol=3e-3)
+        np.testing.assert_allclose(there.tool_m, HERE, atol=3e-3)
         seen = tcp_position(ARM, there.joints_rad)
         assert np.linalg.norm(there.tool_m - seen) > 5e-3
-        arm.move_to([0.17, 0.0, 0.2], within_m=0.003)
+        arm.move_to(THERE, within_m=0.003)
         back = arm.move_to(there.tool_m, within_m=0.002)
         np.testing.assert_allclose(tcp_position(ARM, back.joints_rad), seen, atol=4e-3)
 
@@ -108,39 +114,39 @@ def test_an_arm_that_keeps_close_to_its_way_has_not_reached_its_target_yet():
 
 
 def test_what_cannot_be_reached_is_an_error_with_a_name_and_the_arm_goes_on(run):
-    with rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(controller="default")) as arm:
+    with connected(run, controller="default") as arm:
         with pytest.raises(rejoint.NotReachedError, match=r"did not come within 0\.1 mm .* still .* mm off; it holds"):
-            arm.move_to([0.18, 0.03, 0.21], within_m=1e-4, timeout_s=1.0)
+            arm.move_to(HERE, within_m=1e-4, timeout_s=1.0)
         with pytest.raises(rejoint.InputError, match="out of reach"):
             arm.move_to([0.5, 0.0, 0.2])
         with pytest.raises(rejoint.InputError, match="positive"):
-            arm.move_to([0.18, 0.03, 0.21], within_m=2)
-        for wrong in ([0.2, 0.0], "home", None, [[0.18, 0.03, 0.21]], [0.18, "y", 0.2]):
+            arm.move_to(HERE, within_m=2)
+        for wrong in ([0.2, 0.0], "home", None, [HERE], [0.18, "y", 0.2]):
             with pytest.raises(rejoint.InputError, match="expected a point"):
                 arm.move_to(wrong)
         for wrong in (0.0, None, "10 s", np.inf):
             with pytest.raises(rejoint.InputError, match="positive"):
-                arm.move_to([0.18, 0.03, 0.21], timeout_s=wrong)
+                arm.move_to(HERE, timeout_s=wrong)
         with pytest.raises(rejoint.InputError, match="expected a Path, a file, or points"):
             arm.follow([0.1 * k, 0.18, 0.0, 0.2] for k in range(9))
-        assert arm.move_to([0.18, 0.03, 0.21], within_m=0.05) is not None
+        assert arm.move_to(HERE, within_m=0.05) is not None
     assert issubclass(rejoint.NotReachedError, TimeoutError)
 
 
 def test_what_ended_a_motion_that_nobody_waited_for_is_told(run):
     def fail(arm: rejoint.Session) -> None:
-        arm.move_to([0.18, 0.03, 0.21], within_m=1e-5, timeout_s=0.2, wait=False)
+        arm.move_to(HERE, within_m=1e-5, timeout_s=0.2, wait=False)
         while arm.state.moving:
             time.sleep(0.01)
 
-    arm = rejoint.connect("emulated:worn", run=run)
+    arm = connected(run)
     fail(arm)
     with pytest.raises(rejoint.NotReachedError, match=r"within 0\.01 mm of \(180, 30, 210\)"):
-        arm.move_to([0.17, 0.0, 0.2])
-    arm.move_to([0.17, 0.0, 0.2], within_m=0.01)
+        arm.move_to(THERE)
+    arm.move_to(THERE, within_m=0.01)
     fail(arm)
     arm.stop()
-    arm.move_to([0.17, 0.0, 0.2], within_m=0.01)
+    arm.move_to(THERE, within_m=0.01)
     fail(arm)
     with pytest.raises(rejoint.NotReachedError):
         arm.close()
@@ -148,22 +154,22 @@ def test_what_ended_a_motion_that_nobody_waited_for_is_told(run):
 
 
 def test_while_an_arm_moves_its_motion_alone_asks_the_robot(run, monkeypatch):
-    with rejoint.connect("emulated:worn", run=run) as arm:
+    with connected(run) as arm:
         robot, asked = arm.robot, list[str]()
         monkeypatch.setattr(
             robot, "read", lambda read=robot.read: asked.append(threading.current_thread().name) or read()
         )
-        arm.move_to([0.18, 0.03, 0.21], within_m=0.01, wait=False)
+        arm.move_to(HERE, within_m=0.01, wait=False)
         while arm.state.moving:
             assert "MainThread" not in asked
         assert "MainThread" in asked, "the state at the end is read"
 
 
 def test_an_arm_that_is_closed_takes_no_orders(run):
-    with rejoint.connect("emulated:worn", run=run) as arm:
+    with connected(run) as arm:
         before = arm.state.joints_rad
     for order in (
-        lambda: arm.move_to([0.18, 0.03, 0.21]),
+        lambda: arm.move_to(HERE),
         lambda: arm.follow("circle-8s"),
         lambda: arm.state,
         arm.wait,
@@ -172,7 +178,7 @@ def test_an_arm_that_is_closed_takes_no_orders(run):
             order()
     arm.stop()
     arm.close()
-    with rejoint.connect("emulated:worn", run=run) as again:
+    with connected(run) as again:
         np.testing.assert_allclose(again.state.joints_rad, before)
 
 
@@ -192,7 +198,7 @@ def test_of_two_threads_one_drives_the_arm(run, monkeypatch):
             refused.append(error)
             other.set()  # the one that moves waits for it
 
-    with rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(controller="default")) as arm:
+    with connected(run, controller="default") as arm:
         step = arm.robot.step
         monkeypatch.setattr(arm.robot, "step", lambda *given: other.wait() and step(*given))
         threads = [threading.Thread(target=go, args=([0.18, y, 0.2],)) for y in (0.03, -0.03)]
@@ -227,7 +233,7 @@ def test_what_looks_at_the_arm_and_what_orders_ask_one_after_the_other(run):
         while not over.is_set():
             arm.state  # noqa: B018
 
-    with rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(controller="default")) as arm:
+    with connected(run, controller="default") as arm:
         for name in ("read", "step", "stop"):
             alone(arm.robot, name)
         looks = threading.Thread(target=look)
@@ -241,17 +247,16 @@ def test_what_looks_at_the_arm_and_what_orders_ask_one_after_the_other(run):
 
 
 def test_joint_positions_are_reached_round_a_declared_box():
-    box = Box(lower=np.array([0.15, -0.15, 0.0]), upper=np.array([0.3, -0.08, 0.3]))
     goal = ARM.rest + np.radians([-100.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     places, watches = [], Hears(cycle=lambda cycle: places.append(cycle.position[0]))
-    with rejoint.connect("emulated:worn?seed=1", settings=rejoint.Settings(keep_out=[box]), observer=watches) as arm:
+    with rejoint.connect("emulated:worn?seed=1", settings=rejoint.Settings(keep_out=[WALL]), observer=watches) as arm:
         end = arm.move_joints(goal)
     np.testing.assert_allclose(end.joints_rad, goal, atol=np.radians(0.5))
-    assert (clearances(replace(ARM, keep_out=(box,)), np.array(places), np.zeros(6))[:, 6:] > 0.0).all()
+    assert (clearances(replace(ARM, keep_out=(WALL,)), np.array(places), np.zeros(6))[:, 6:] > 0.0).all()
 
 
 def test_a_joint_that_sticks_under_its_load_comes_to_its_goal_over_another_posture():
-    with rejoint.connect("emulated:worn") as arm:
+    with connected() as arm:
         for degrees in ([85, -13, -33, 111, -52, 17], [25, -42, -23, -131, -27, 117]):
             end = arm.move_joints(np.radians(degrees), within_rad=np.radians(3.0), timeout_s=60.0)
     np.testing.assert_allclose(np.degrees(end.joints_rad), degrees, atol=3.0)
@@ -296,9 +301,8 @@ def test_a_way_waits_for_a_joint_that_lags_and_not_for_ever():
 
 def test_an_arm_without_a_run_is_guarded_and_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with rejoint.connect("emulated:worn") as arm:
-        assert arm.controller == "shelf"
-        end = arm.move_to([0.18, 0.03, 0.21])
+    with connected() as arm:
+        end = arm.move_to(HERE)
         assert end.error_m < 0.0025
     assert not list(tmp_path.iterdir())
 
@@ -306,7 +310,7 @@ def test_an_arm_without_a_run_is_guarded_and_leaves_nothing(tmp_path, monkeypatc
 def test_joints_go_where_they_are_sent_and_what_no_joint_can_do_is_refused(run):
     a_twin().save(run / "twin.toml")
     goal = ARM.rest + np.radians([20.0, 5.0, -8.0, 0.0, 10.0, -15.0])  # joint4 of this arm is too weak for small steps
-    with rejoint.connect("emulated:worn", run=run) as arm:
+    with connected(run) as arm:
         start = arm.state.joints_rad
         end = arm.move_joints(goal, within_rad=np.radians(0.6))
         assert np.abs(end.joints_rad - goal).max() < np.radians(0.7)
@@ -321,7 +325,7 @@ def test_joints_go_where_they_are_sent_and_what_no_joint_can_do_is_refused(run):
 
 def test_a_stream_of_joint_positions_is_followed_until_it_stops_and_gives_way_to_a_motion(run):
     a_twin().save(run / "twin.toml")
-    with rejoint.connect("emulated:worn", run=run) as arm:
+    with connected(run) as arm:
         start = arm.state.joints_rad
         goal = start + np.radians([20.0, 5.0, -8.0, 0.0, 10.0, -15.0])
         np.testing.assert_array_equal(arm.send_joints(start + 0.5 * (goal - start)), start + 0.5 * (goal - start))
@@ -333,20 +337,20 @@ def test_a_stream_of_joint_positions_is_followed_until_it_stops_and_gives_way_to
         assert tcp_position(ARM, sent)[2] > -1e-3, "no farther than to the ground"
         with pytest.raises(rejoint.InputError, match="expected 6 joint positions"):
             arm.send_joints([0.0])
-        arm.move_to([0.18, 0.03, 0.21], within_m=0.004)
+        arm.move_to(HERE, within_m=0.004)
         assert not arm.state.moving
     assert len(list((run / "logs").glob("joints*.parquet"))) == 1, "one log, with the command that brakes"
 
 
 def test_boxes_are_kept_out_of_and_one_that_holds_the_arm_is_refused(run):
     wall = Box(lower=np.array([0.05, 0.12, 0.0]), upper=np.array([0.4, 0.4, 0.5]))
-    with rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(keep_out=[wall])) as arm:
+    with connected(run, keep_out=[wall]) as arm:
         with pytest.raises(rejoint.InputError, match="the nearest place that works"):
             arm.move_to([0.15, 0.16, 0.2])
         arm.move_to([0.17, -0.05, 0.2], within_m=0.004)
     inside = Box(lower=np.array([-0.1, -0.1, 0.05]), upper=np.array([0.1, 0.1, 0.3]))
     with pytest.raises(rejoint.InputError, match="a part of the arm in its rest posture is inside a box"):
-        rejoint.connect("emulated:worn", run=run, settings=rejoint.Settings(keep_out=[inside]))
+        connected(run, keep_out=[inside])
 
 
 def test_a_dry_run_moves_nothing_writes_nothing_and_says_how_far(run):
@@ -355,7 +359,7 @@ def test_a_dry_run_moves_nothing_writes_nothing_and_says_how_far(run):
     before, files = robot.read(), sorted(run.glob("[a-z]*"))
     settings = rejoint.Settings(dry_run=True)
     with rejoint.connect(robot, run=run, settings=settings, observer=Hears(message=said.append)) as arm:
-        arm.move_to([0.18, 0.03, 0.21], within_m=0.004)
+        arm.move_to(HERE, within_m=0.004)
     after = robot.read()
     np.testing.assert_array_equal(after.time, before.time)
     np.testing.assert_array_equal(after.position, before.position)
@@ -366,7 +370,7 @@ def test_a_dry_run_moves_nothing_writes_nothing_and_says_how_far(run):
 def test_an_arm_follows_paths_and_streams_between_points_and_leaves_one_log(run):
     a_twin().save(run / "twin.toml")
     path = rejoint.Path(time=TIME, place=WAVE, name="wave")
-    with rejoint.connect("emulated:worn", run=run) as arm:
+    with connected(run) as arm:
         arm.move_to(WAVE[0], within_m=0.004)
         done = arm.follow(path)
         assert done is arm.followed
@@ -395,7 +399,7 @@ def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run
     with pytest.raises(rejoint.InputError, match="needs a twin"):
         rejoint.follow("emulated:worn", "circle-8s", run=run, settings=rejoint.Settings(controller="tracker"))
     a_twin().save(run / "twin.toml")
-    with rejoint.connect("emulated:worn", run=run) as arm:
+    with connected(run) as arm:
         with pytest.raises(rejoint.InputError, match="out of reach"):
             arm.follow(rejoint.Path(time=TIME, place=WAVE + 0.4))
         with pytest.raises(rejoint.InputError, match="duration in seconds"):
@@ -411,5 +415,5 @@ def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run
 
 
 def test_a_session_without_a_run_does_no_stages():
-    with rejoint.connect("emulated:worn") as arm, pytest.raises(rejoint.InputError, match="run=FOLDER"):
+    with connected() as arm, pytest.raises(rejoint.InputError, match="run=FOLDER"):
         arm.diagnose()

@@ -14,10 +14,9 @@ from rejoint.runs.run import Run, mark_quick
 from rejoint.session.driver import RehearsedRobot
 from rejoint.session.inputs import keep, settled
 from rejoint.session.session import ArmSession
-from runs.test_connect import a_twin
+from runs.test_connect import HERE, WALL, a_twin
 
 ARM = mycobot280()
-WALL = Box(lower=np.array([0.15, -0.15, 0.0]), upper=np.array([0.3, -0.08, 0.3]))
 GIVEN = rejoint.Settings(payload=0.1, tool=[0.0, 0.0, 0.05], keep_out=[WALL], period=(0.02, 0.03), within=0.003)
 
 
@@ -105,7 +104,7 @@ def test_kept_settings_drive_the_arm_and_are_named(run):
 def test_a_dry_comparison_moves_nothing():
     robot, said = rejoint.open_robot("emulated:worn"), list[str]()
     before = robot.read()
-    target = [[[0.18, 0.03, 0.21]]]
+    target = [[HERE]]
     found = rejoint.compare(
         robot,
         ["default"],
@@ -130,7 +129,7 @@ def test_what_an_arm_does_is_recorded_in_motions_and_between(run):
         assert np.ptp(held.time) >= 1.0
         assert np.abs(np.diff(held.position, axis=0)).max() < np.radians(5.0)
         with arm.recording("pick") as taken:
-            arm.move_to([0.18, 0.03, 0.21], within_m=0.01)
+            arm.move_to(HERE, within_m=0.01)
             end = arm.move_joints(arm.state.joints_rad + 0.05, within_rad=0.1)
         assert taken.log.commanded
         np.testing.assert_allclose(taken.log.position[-1], end.joints_rad, atol=1e-9)
@@ -153,7 +152,7 @@ def test_a_session_does_its_stages_with_the_load_that_it_was_told_and_drives_by_
     with rejoint.connect("emulated:worn", run=run, settings=told) as arm:
         assert "joint" in arm.diagnose(quick=True).verdict
         assert arm.identify().arm == ARM.name
-        target = [0.18, 0.03, 0.21]
+        target = HERE
         arm.compare(["default", "predictive"], [target], plan=rejoint.TrialPlan(repetitions=1))
         assert arm.controller == "predictive"
         arm.move_to(target, within_m=0.003)
@@ -161,7 +160,7 @@ def test_a_session_does_its_stages_with_the_load_that_it_was_told_and_drives_by_
     robot = rejoint.open_robot("emulated:worn", arm=loaded(ARM, 0.05))
     for other in (rejoint.Settings(payload=0.1), rejoint.Settings(tool=[0.0, 0.0, 0.05])):
         with pytest.raises(rejoint.InputError, match="not with an open one"):
-            rejoint.deploy(robot, [[0.18, 0.03, 0.21]], settings=other)
+            rejoint.deploy(robot, [HERE], settings=other)
 
 
 def test_a_dry_repair_moves_nothing_and_writes_nothing(tmp_path, monkeypatch):
