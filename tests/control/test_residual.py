@@ -17,6 +17,7 @@ ARM = mycobot280()
 STIFFNESS = (5.0, 6.0, 7.0, 4.0, 5.0, 6.0)
 LAW = CommandLaw(loosen=0.0, anchor="goal", stiffness=STIFFNESS)
 EVERY = np.ones(2, dtype=bool)
+NOTHING = np.zeros((2, 6))
 MOVES = np.array([1, 1, 1, 1, 1, 0])  # the last joint only turns the tool, and is left alone
 
 
@@ -45,18 +46,18 @@ def test_without_error_or_action_it_sends_the_goal_raised_by_its_sag():
     commander, _ = begun(targets)
     now = inputs(goal, tcp_position(ARM, goal))
     expected = goal + gravity_torque(ARM, goal) / np.array(STIFFNESS)
-    np.testing.assert_allclose(command(commander, now, np.zeros((2, 6))), expected, atol=1e-12)
+    np.testing.assert_allclose(command(commander, now, NOTHING), expected, atol=1e-12)
 
 
 def test_an_action_is_remembered_until_the_arm_is_exchanged():
     commander, now = begun()
-    before = command(commander, now, np.zeros((2, 6)))
+    before = command(commander, now, NOTHING)
     pushed = command(commander, now, np.full((2, 6), 2.0))  # beyond 1 counts as 1
     np.testing.assert_allclose(pushed - before, [LAW.authority_floor * MOVES] * 2, atol=1e-12)
-    np.testing.assert_allclose(command(commander, now, np.zeros((2, 6))), pushed, atol=1e-12)
+    np.testing.assert_allclose(command(commander, now, NOTHING), pushed, atol=1e-12)
     commander.reset_learned(now, np.array([True, False]))
     commander.reset(now, np.array([True, False]))
-    after = command(commander, now, np.zeros((2, 6)))
+    after = command(commander, now, NOTHING)
     np.testing.assert_allclose(after[0], before[0], atol=1e-12)
     np.testing.assert_allclose(after[1], pushed[1], atol=1e-12)
 
@@ -65,11 +66,11 @@ def learned_part(away: float) -> tuple[np.ndarray, np.ndarray]:
     """What a commander has learned (n,) [rad], and what is left of it at a new target ``away`` [m]."""
     (moved, now), (fresh, _) = begun(), begun()
     then = replace(now, target=now.target + np.array([0.0, 0.0, away]))
-    before = command(moved, now, np.zeros((2, 6)))
+    before = command(moved, now, NOTHING)
     learned = command(moved, now, np.ones((2, 6))) - before
     for commander in (moved, fresh):
         commander.reset(then, EVERY)
-    kept = command(moved, then, np.zeros((2, 6))) - command(fresh, then, np.zeros((2, 6)))
+    kept = command(moved, then, NOTHING) - command(fresh, then, NOTHING)
     return learned[0], kept[0]
 
 
@@ -89,7 +90,7 @@ def test_a_corrected_aim_moves_no_joint_that_stands_for_the_tool() -> None:
 def test_what_is_learned_is_bounded():
     targets = ARM.targets.sample(np.random.default_rng(2), (2,))
     commander, now = begun(targets, replace(LAW, envelope_margin=10.0))
-    first = command(commander, now, np.zeros((2, 6)))
+    first = command(commander, now, NOTHING)
     for cycle in range(300):
         last = command(commander, inputs(now.state.position, now.target, 0.02 * cycle), np.ones((2, 6)))
     assert np.abs(last - first).max() <= LAW.learning.learned_limit + 1e-9
@@ -118,7 +119,7 @@ def test_near_the_target_the_heaviest_joint_is_spared(distance, near):
     moved = {}
     for law in (LAW, replace(LAW, load_penalty=3.0)):
         commander, _ = begun(target, law)
-        first, second = (command(commander, inputs(rest, target, t), np.zeros((2, 6))) for t in (0.0, 0.02))
+        first, second = (command(commander, inputs(rest, target, t), NOTHING) for t in (0.0, 0.02))
         moved[law.load_penalty] = (second - first)[0]
     share = heaviest_load(ARM) / heaviest_load(ARM)[1]  # the shoulder's is the largest
     expected = moved[0.0] * (1.0 - near * (1.0 - 1.0 / (1.0 + 3.0 * share)))

@@ -24,6 +24,7 @@ from rejoint.system.errors import (
 )
 
 ARM = mycobot280()
+REST = ARM.rest[None]
 
 
 def opened(*faults, **extra):
@@ -48,7 +49,7 @@ def test_it_is_a_robot_and_opening_it_moves_nothing():
 
 def test_every_answer_comes_one_period_after_the_last_one():
     robot, _ = opened()
-    times = [robot.read().time[0]] + [robot.step(ARM.rest[None]).time[0] for _ in range(50)]
+    times = [robot.read().time[0]] + [robot.step(REST).time[0] for _ in range(50)]
     periods, drawn = np.diff(times), np.random.default_rng(2).uniform(0.02, 0.03, 50)
     np.testing.assert_allclose(periods, drawn, atol=1e-9)
 
@@ -69,7 +70,7 @@ def test_a_wire_that_fails_again_while_it_is_brought_into_step_is_connected_anew
 
 def test_a_broken_connection_is_made_anew():
     robot, bus = opened(OSError("gone"), OSError("still gone"))
-    robot.step(ARM.rest[None])
+    robot.step(REST)
     assert bus.done[:7] == ["read", "close", "open", "close", "open", "prepare", "read"]
 
 
@@ -98,8 +99,8 @@ def test_an_arm_that_lost_its_power_is_not_waited_for():
 )
 def test_an_arm_that_stands_elsewhere_after_a_pause_is_told_until_its_next_command(waited, moved, told):
     robot, bus = opened()
-    goal = ARM.rest[None] + 0.1
-    robot.step(ARM.rest[None])
+    goal = REST + 0.1
+    robot.step(REST)
     robot.step(goal)
     assert not robot.read().elsewhere
     bus.clock.wait(waited)
@@ -113,7 +114,7 @@ def test_an_arm_that_stands_elsewhere_after_a_pause_is_told_until_its_next_comma
 @pytest.mark.parametrize(("gone", "sent"), [(0.2, True), (2.0, False)])
 def test_a_command_that_was_kept_up_by_a_new_connection_is_not_sent_to_an_arm_that_was_moved(gone, sent):
     robot, bus = opened()
-    robot.step(ARM.rest[None])
+    robot.step(REST)
 
     def open_anew():
         bus.tell("open")
@@ -121,7 +122,7 @@ def test_a_command_that_was_kept_up_by_a_new_connection_is_not_sent_to_an_arm_th
         bus.position = ARM.rest + 0.2
 
     bus.open, bus.faults = open_anew, [OSError("gone")]
-    state = robot.step(ARM.rest[None])
+    state = robot.step(REST)
     assert bus.done.count("send") == 1 + 1 + sent
     assert state.elsewhere != sent
     assert np.allclose(state.position, ARM.rest) == sent
@@ -131,7 +132,7 @@ def test_an_arm_that_refuses_is_not_asked_again():
     robot, bus = opened(None, RobotError("refused"))
     robot.read()
     with pytest.raises(RobotError):
-        robot.step(ARM.rest[None])
+        robot.step(REST)
     assert bus.done == ["read", "send"]
 
 
@@ -185,7 +186,7 @@ def test_questions_about_health_take_turns_where_the_period_leaves_time():
     assert (state.temperature == 41.0).all()
     assert not state.fault.any()
     bus.done = []
-    times = [robot.step(ARM.rest[None]).time[0] for _ in range(4)]
+    times = [robot.step(REST).time[0] for _ in range(4)]
     assert bus.done == ["send", "warmth", "read", "send", "faulty", "read"] * 2
     np.testing.assert_allclose(np.diff(times), 0.03)
     hurried = BusRobot(bus, ARM, address="plain:1", period=(0.009, 0.009))
@@ -193,7 +194,7 @@ def test_questions_about_health_take_turns_where_the_period_leaves_time():
     hurried.read()
     bus.done = []
     for _ in range(4):
-        hurried.step(ARM.rest[None])
+        hurried.step(REST)
     assert set(bus.done) == {"send", "read"}
 
 

@@ -35,8 +35,16 @@ TARGETS = np.array([[[0.33, 0.05, 0.22], [0.31, -0.05, 0.20]]])
 TORQUE, GOAL, LOCK = 40, 42, 55
 
 
+def built():
+    return StsArm.build(ARM, "so101")
+
+
+def opened(server, options=""):
+    return closing(open_robot(server.address + options))
+
+
 def serving(fault="", *, pty=False, arm=None):
-    return serve_bus(arm or StsArm.build(ARM, "so101"), fault, pty=pty)
+    return serve_bus(arm or built(), fault, pty=pty)
 
 
 def never_dropped(arm):
@@ -51,7 +59,7 @@ def never_dropped(arm):
 
 def drive(fault, *, dwell=1.5):
     """Drive to two targets with a fault; returns the recording, what ended it, and the arm."""
-    with serving(fault) as server, closing(open_robot(server.address)) as robot:
+    with serving(fault) as server, opened(server) as robot:
         return *drive_until_error(robot, TARGETS, dwell), server.arm
 
 
@@ -72,16 +80,16 @@ def calibration(path, **changes):
 )
 def test_servos_as_sold_or_slowed_down_by_another_program_follow_as_promptly_as_under_lerobot(left):
     """Else a joint sets off so late after a jump of its command that the monitor takes it for stuck."""
-    slow = StsArm.build(ARM, "so101")
+    slow = built()
     for servo in slow.servos:
         servo["Acceleration"], servo["Maximum_Acceleration"] = 0, 100
         for name, value in left.items():
             servo[name] = value
         slow.settle(servo)
         servo._kept = bytes(servo.cells)
-    with serving(arm=slow) as server, closing(open_robot(server.address)):
+    with serving(arm=slow) as server, opened(server):
         pass
-    prompt = StsArm.build(ARM, "so101").plant.settings[0, :5]
+    prompt = built().plant.settings[0, :5]
     for field in ("acceleration", "speed"):
         assert (slow.plant.settings[0, :5][field] == prompt[field]).all()
     assert all(servo["Lock"] == 1 and servo["Torque_Enable"] == 1 for servo in slow.servos)
@@ -127,7 +135,7 @@ def test_a_servo_that_labours_gets_its_old_gains_back_and_no_stiffer_ones():
 
 
 def test_tuned_gains_are_taken_back_by_hand_or_by_power_and_kept_only_when_asked():
-    with serving() as server, closing(open_robot(server.address)) as robot:
+    with serving() as server, opened(server) as robot:
         before = robot.servo_gains()
         wanted = before | {"p": (32, 40, 48, 40, 32), "i": (0, 1, 2, 0, 0), "limit": (0, 50, 50, 0, 0)}
         robot.tune(wanted)
@@ -148,7 +156,7 @@ def test_tuned_gains_are_taken_back_by_hand_or_by_power_and_kept_only_when_asked
 
 
 def test_a_gripper_is_driven_beside_the_joints_and_left_alone_until_it_has_a_goal():
-    with serving() as server, closing(open_robot(server.address)) as robot:
+    with serving() as server, opened(server) as robot:
         servo = server.arm.servos[5]
         low, high = servo["Min_Position_Limit"], servo["Max_Position_Limit"]
         gripper = Gripper.find(robot.bus)
@@ -221,7 +229,7 @@ def test_an_arm_that_was_never_calibrated_is_refused_and_nothing_is_written():
 
 @pytest.mark.parametrize("pty", [False, True])
 def test_an_arm_is_read_and_goes_where_it_is_sent(pty):
-    with serving(pty=pty) as server, closing(open_robot(server.address)) as robot:
+    with serving(pty=pty) as server, opened(server) as robot:
         state = robot.read()
         assert state.position[0] == pytest.approx(ARM.rest, abs=np.radians(0.2))
         assert state.load[0] == pytest.approx(server.arm.plant.load[0], abs=0.0081)
@@ -242,22 +250,22 @@ def test_an_arm_is_read_and_goes_where_it_is_sent(pty):
 def test_a_calibration_file_and_a_zero_of_the_owner_shift_the_angles(tmp_path):
     file = calibration(tmp_path / "arm.json", elbow_flex={"range_min": 946 + 20, "range_max": 3150 + 20})
     with serving() as server:
-        with closing(open_robot(f"{server.address}?calibration={file}")) as robot:
+        with opened(server, f"?calibration={file}") as robot:
             shifted = robot.read().position[0]
-        with closing(open_robot(f"{server.address}?zero=0,0,0,5,0")) as robot:
+        with opened(server, "?zero=0,0,0,5,0") as robot:
             turned = robot.read().position[0]
     assert np.degrees(shifted - ARM.rest) == pytest.approx([0, 0, -20 * 360 / 4096, 0, 0], abs=0.2)
     assert np.degrees(turned - ARM.rest) == pytest.approx([0, 0, 0, 5, 0], abs=0.2)
 
 
 def test_torque_comes_on_where_the_arm_is_and_locks_are_shut():
-    arm = StsArm.build(ARM, "so101")
+    arm = built()
     for servo in arm.servos:
         servo["Torque_Enable"], servo["Lock"], servo["Goal_Position"] = 0, 0, 3000
         arm.settle(servo)
     arm.advance(0.2)
     limp = arm.angles
-    with serving(arm=arm) as server, closing(open_robot(server.address)) as robot:
+    with serving(arm=arm) as server, opened(server) as robot:
         held = robot.read().position[0]
         assert held == pytest.approx(limp, abs=np.radians(2.5))
     for servo in arm.servos[:5]:
@@ -288,7 +296,7 @@ def test_a_position_is_sent_back_as_the_goal_that_it_was_read_as(count):
     ],
 )
 def test_a_servo_that_cannot_be_driven_is_named(change, says):
-    arm = StsArm.build(ARM, "so101")
+    arm = built()
     for name, value in change.items():
         arm.servos[2][name] = value
     with serving(arm=arm) as server, pytest.raises(AddressError, match=says) as caught:
@@ -298,7 +306,7 @@ def test_a_servo_that_cannot_be_driven_is_named(change, says):
 
 
 def test_an_arm_that_lost_its_torque_meanwhile_is_not_switched_on_again():
-    arm = StsArm.build(ARM, "so101")
+    arm = built()
     with serving(arm=arm) as server, closing(FeetechBus(place_of(server.address).detail, ARM)) as bus:
         bus.open()
         bus.prepare()
@@ -312,7 +320,7 @@ def test_an_arm_that_lost_its_torque_meanwhile_is_not_switched_on_again():
 
 
 def test_the_end_of_a_run_does_not_say_that_joints_hold_which_lost_their_torque(monkeypatch):
-    with serving() as server, closing(open_robot(server.address)) as robot:
+    with serving() as server, opened(server) as robot:
         ask, asked = FeetechWire.read_all, []
 
         def lose(wire, servos, address, size):
@@ -333,7 +341,7 @@ def test_the_end_of_a_run_does_not_say_that_joints_hold_which_lost_their_torque(
 @pytest.mark.parametrize("fallen", [(3,), (1, 2, 3, 4, 5)])
 def test_servos_that_began_anew_are_not_switched_on_by_the_next_goal(monkeypatch, fallen):
     """A dip of the supply resets servos: they are silent for a moment, joints fall, and any goal would lift them."""
-    with serving() as server, closing(open_robot(server.address)) as robot:
+    with serving() as server, opened(server) as robot:
         robot.step(ARM.rest[None])
         ask = FeetechWire.read_all
 
@@ -353,7 +361,7 @@ def test_servos_that_began_anew_are_not_switched_on_by_the_next_goal(monkeypatch
 
 
 def test_two_programs_do_not_drive_one_arm():
-    with serving(pty=True) as server, closing(open_robot(server.address)) as robot:
+    with serving(pty=True) as server, opened(server) as robot:
         with pytest.raises(AddressError, match="another program drives the arm there"):
             open_robot(server.address)
         assert np.isfinite(robot.read().position).all()

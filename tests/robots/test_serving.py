@@ -95,6 +95,10 @@ def test_a_serial_line_is_served_and_the_arm_holds_when_it_is_closed(run, twin):
     assert ends[0].orders == 2
 
 
+def resting():
+    return ServedArm(ARM, ARM.rest)
+
+
 def advance(served, clock, position):
     return served.advance(now_at(position, clock))
 
@@ -108,7 +112,7 @@ def answering(served, passes=None, listener=None):
 
 def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer():
     for off, expected in ((0.0, 0.3), (0.05, PATIENCE)):
-        served, ends = ServedArm(ARM, ARM.rest), list[MoveEnd]()
+        served, ends = resting(), list[MoveEnd]()
         served.on_arrival = ends.append
         goal = ARM.rest + 0.1
         assert served.move_joints(goal, 1.0)
@@ -126,7 +130,7 @@ def test_a_move_has_ended_once_the_tool_stays_near_or_comes_no_nearer():
 
 
 def test_a_stopped_arm_is_held_where_it_stands():
-    served, ends = ServedArm(ARM, ARM.rest), list[MoveEnd]()
+    served, ends = resting(), list[MoveEnd]()
     served.on_arrival = ends.append
     answers, _ = answering(served)
     clock = 0.0
@@ -149,7 +153,7 @@ def test_a_stopped_arm_is_held_where_it_stands():
 
 @pytest.mark.parametrize("end", [lambda one: one.left("the client is gone"), lambda one: one.answer(Frame(0x26))])
 def test_an_arm_that_is_left_or_paused_is_brought_to_the_end_of_its_way_and_no_farther(end):
-    served = ServedArm(ARM, ARM.rest)
+    served = resting()
     answers, _ = answering(served)
     goal = ARM.rest + 0.1 * np.eye(6)[1]
     assert served.move_joints(goal, 1.0)
@@ -202,7 +206,7 @@ def test_a_jog_ends_before_what_the_guard_keeps_the_arm_from(order, axis):
 def test_a_move_that_ends_elsewhere_is_told_and_one_that_the_guard_keeps_back_ends_there(
     joint, way, came, held_back, says
 ):
-    served = ServedArm(ARM, ARM.rest)
+    served = resting()
     answers, said = answering(served)
     served.on_arrival = answers.arrived
     here = ARM.rest + came * np.eye(6)[joint]  # it comes no farther
@@ -219,7 +223,7 @@ def test_a_move_that_ends_elsewhere_is_told_and_one_that_the_guard_keeps_back_en
 
 
 def test_orders_that_would_let_the_arm_fall_are_refused_and_said():
-    answers, said = answering(ServedArm(ARM, ARM.rest))
+    answers, said = answering(resting())
     for command in REFUSED:
         assert answers.answer(Frame(command, b"\x01")) == Frame(command, b"\x00")
     assert len(said) == len(REFUSED)
@@ -229,7 +233,7 @@ def test_orders_that_would_let_the_arm_fall_are_refused_and_said():
 @pytest.mark.realtime
 def test_a_client_that_leaves_a_move_half_done_is_told_of():
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        answers, said = answering(ServedArm(ARM, ARM.rest), listener=listener)
+        answers, said = answering(resting(), listener=listener)
         with answers.server() as server:
             for request in (b"", encode(Frame(0x22, pack_angles(ARM.rest + 0.2) + b"\x32"))):
                 with closing(socket.create_connection(listener.getsockname()[:2], 2.0)) as client:
@@ -245,7 +249,7 @@ def test_a_client_that_leaves_a_move_half_done_is_told_of():
 
 
 def test_an_error_is_told_until_it_is_cleared():
-    answers, _ = answering(ServedArm(ARM, ARM.rest))
+    answers, _ = answering(resting())
     beyond = Frame(0x22, pack_angles(np.full(6, 3.2)) + b"\x32")
     assert answers.answer(beyond) == Frame(0x22, b"\x00")
     assert answers.answer(Frame(0x26)) == Frame(0x26, b"\x01"), "another order leaves the error"
@@ -255,7 +259,7 @@ def test_an_error_is_told_until_it_is_cleared():
 
 
 def test_what_is_old_is_not_told(monkeypatch):
-    served = ServedArm(ARM, ARM.rest)
+    served = resting()
     answers, _ = answering(served)
     now = time.monotonic()
     monkeypatch.setattr(time, "monotonic", lambda: now)
@@ -288,7 +292,7 @@ def test_a_gripper_is_passed_on_and_one_that_is_silent_asked_twice(monkeypatch):
             raise NoReplyError("silent")
         return b"\x01"
 
-    answers, _ = answering(ServedArm(ARM, ARM.rest), gripper)
+    answers, _ = answering(resting(), gripper)
     over = threading.Event()
 
     def loop():
@@ -309,7 +313,7 @@ def test_a_gripper_is_passed_on_and_one_that_is_silent_asked_twice(monkeypatch):
 
 
 def test_any_bytes_are_borne(tmp_path):
-    served = ServedArm(ARM, ARM.rest)
+    served = resting()
     log = OrderLog(tmp_path / "orders.jsonl")
     answers = Clients(served, log, None, lambda _: None)
     rng, decoder = np.random.default_rng(0), Finder(FORMAT)

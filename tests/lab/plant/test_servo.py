@@ -24,9 +24,13 @@ def joint(**changes):
     return record
 
 
+def fresh():
+    return np.zeros(1, servo.STATE)
+
+
 def commanded(goal, speed_limit):
     """A powered servo at zero whose reference has arrived at its goal."""
-    state = np.zeros(1, servo.STATE)
+    state = fresh()
     state["goal"] = state["reference"] = goal
     state["speed_limit"], state["powered"] = speed_limit, True
     return state
@@ -35,7 +39,7 @@ def commanded(goal, speed_limit):
 def slide(torque, steps, inertia=0.02):
     """Push a mass against friction alone, harder for 0.2 s and then steadily; returns angle [rad] and speed [rad/s]."""
     records = joint(coulomb=0.1, stiction=0.2, load_friction=0.0, reflected_inertia=inertia)
-    state = np.zeros(1, servo.STATE)
+    state = fresh()
     angle = speed = 0.0
     for step in range(steps):
         push = torque * min(step / 200, 1.0)
@@ -53,7 +57,7 @@ def test_below_stiction_nothing_creeps(torque):
 
 def test_a_stuck_joint_does_not_creep_under_vibration():
     records = joint(coulomb=0.1, stiction=0.2, load_friction=0.0, reflected_inertia=0.02)
-    state = np.zeros(1, servo.STATE)
+    state = fresh()
     rng, speed, angle, track = np.random.default_rng(0), 0.0, 0.0, []
     for step in range(20_000):
         push = 0.12 + 0.03 * np.sin(0.3 * step) + 0.01 * rng.standard_normal()
@@ -71,7 +75,7 @@ def test_above_stiction_it_breaks_loose_and_slides_against_coulomb_friction():
 
 
 def test_friction_grows_with_the_transmitted_torque():
-    state = np.zeros(1, servo.STATE)
+    state = fresh()
     records = joint(coulomb=0.1, stiction=0.1, load_friction=0.1)
     for _ in range(100):
         light = servo.friction_torque(records[0], state[0], 1.0, 0.0)
@@ -113,7 +117,7 @@ def test_only_an_encoder_behind_the_gear_sees_the_play_and_none_sees_the_flex(in
 
 
 def test_a_held_joint_warms_towards_ambient_plus_rise():
-    state = np.zeros(1, servo.STATE)
+    state = fresh()
     records = joint()
     state["temperature"], state["torque"] = servo.AMBIENT, records["torque_limit"][0]
     before = state["temperature"][0]
