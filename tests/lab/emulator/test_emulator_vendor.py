@@ -64,18 +64,14 @@ QUESTIONS = [
     ("get_modify_version", (), 1),
     ("get_system_version", (), 7.3),
     ("check_async_or_sync", (), 1),
-    ("get_error_information", (), 0),
     ("is_power_on", (), 1),
     ("is_controller_connected", (), 1),
     ("read_next_error", (), [0] * 7),
     ("get_fresh_mode", (), 1),
-    ("is_free_mode", (), 0),
     ("is_paused", (), 0),
-    ("is_moving", (), 0),
     ("get_joint_min_angle", (5,), -155.0),
     ("get_joint_max_angle", (5,), 160.0),
     ("is_servo_enable", (3,), 1),
-    ("is_all_servo_enable", (), 1),
     ("get_servo_voltages", (), [12.0] * 6),
     ("get_servo_status", (), [0] * 6),
     ("get_reboot_count", (), 1),
@@ -190,7 +186,6 @@ def test_jogs_run_until_stopped(arm):
         assert arm.stop() == 1
         settle(arm)
         held = arm.get_angles_plan()
-        assert arm.is_moving() == 0
         assert arm.get_angles_plan() == held
 
 
