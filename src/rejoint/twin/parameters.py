@@ -317,14 +317,22 @@ def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
     return Prior(mean=mean, sigma=sigma, lower=lower_, upper=upper_, correlation=_alike(arm, table))
 
 
+SIZE = 0.5
+"""Correlation of the logarithms of one joint, or of equal servos: larger ones have more of all; chosen"""
+
+
 def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array:
-    """Correlation (k, k) of joints with equal servos."""
-    layout, servos = Layout(arm.joints), arm.servos or ("",) * arm.joints
-    same = np.array([[one == other != "" for other in servos] for one in servos]) & ~np.eye(arm.joints, dtype=bool)
-    correlation = np.eye(layout.size)
+    """Correlation (k, k) by the size of the servos, and of joints with equal ones."""
+    layout = Layout(arm.joints)
+    servos = np.array([one or f"{joint}" for joint, one in enumerate(arm.servos or [""] * arm.joints)])
+    same = servos[:, None] == servos
+    sized = layout.is_log & (layout.owner >= 0)
+    correlation = SIZE * np.outer(sized, sized) * same[np.ix_(layout.owner, layout.owner)]
     for p in table:
         if p.alike is not None:
-            correlation[layout.at(p.name), layout.at(p.name)] += same * (1.0 - (p.alike / p.sigma) ** 2)
+            at = layout.at(p.name)
+            correlation[at, at] = same * (1.0 - (p.alike / p.sigma) ** 2)
+    np.fill_diagonal(correlation, 1.0)
     return correlation
 
 
