@@ -25,10 +25,8 @@ TOGETHER = ("torque_limit", "load_friction")
 
 USUAL_ACCELERATION = 39.0
 """[rad/s^2] limit of the reference's acceleration to try first; that of an STS3215"""
-FACTORS = 2.0 ** (np.arange(-6, 7) / 3)
-"""Other limits to try, over that; chosen"""
-DELAYS = (-0.008, -0.004, 0.0, 0.004, 0.008, 0.012)
-"""[s] changes of the delay to try with them; chosen"""
+FACTORS = (2.0, 2.0 ** (1 / 3))
+"""Steps to other limits, each fitted from the best until none is better; chosen"""
 EARLIER = 0.01
 """[s] of delay that imitates a limited acceleration; measured"""
 
@@ -148,25 +146,25 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
 
     ``make`` turns a structure into a problem. Without evidence, that of ``simple`` holds.
     """
-    known = simple.acceleration
-    usual = min(known, USUAL_ACCELERATION)
+    usual = min(simple.acceleration, USUAL_ACCELERATION)
 
-    def fitted(acceleration: float) -> tuple[Problem, Array]:
-        problem = make(replace(simple, acceleration=acceleration))
-        y = start.copy()
-        y[problem.layout.at("delay")] += EARLIER * (float(known < np.inf) - float(acceleration < np.inf))
-        return problem, fit(problem, y, SHORT).vector
+    def tried(acceleration: float, y: Array, before: float) -> tuple[Array, Array]:
+        problem, moved = make(replace(simple, acceleration=acceleration)), y.copy()
+        moved[problem.layout.at("delay")] += EARLIER * (float(before < np.inf) - float(acceleration < np.inf))
+        found = fit(problem, moved, SHORT).vector
+        return _losses(problem, found), found
 
-    without, (problem, y) = _losses(*fitted(np.inf)), fitted(usual)
-    around = np.tile(y, (len(DELAYS), 1))
-    around[:, problem.layout.at("delay")] += np.array(DELAYS)[:, None]
-    ratios = {}
-    for acceleration in usual * FACTORS:
-        losses = loss(
-            make(replace(simple, acceleration=float(acceleration))).residuals(problem.prior.clip(around))
-        ).sum(axis=1)
-        ratios[float(acceleration)] = _ratio(losses[np.argmin(losses.sum(axis=1))], without)
-    best = min(ratios, key=lambda a: ratios[a])
+    without, _ = tried(np.inf, start, simple.acceleration)
+    fits = {usual: tried(usual, start, simple.acceleration)}
+    ratios = {usual: _ratio(fits[usual][0], without)}
+    for factor in FACTORS:
+        best, last = min(ratios, key=lambda a: ratios[a]), None
+        while best != last:
+            last = best
+            for acceleration in (best / factor, best * factor):
+                fits[acceleration] = tried(acceleration, fits[best][1], best)
+                ratios[acceleration] = _ratio(fits[acceleration][0], without)
+            best = min(ratios, key=lambda a: ratios[a])
     if ratios[best] < 1.0 - LIMIT_GAIN:
         return replace(simple, acceleration=best)
     return simple if ratios[usual] < 1.0 / (1.0 - LIMIT_GAIN) else replace(simple, acceleration=np.inf)
