@@ -163,7 +163,7 @@ def run(case: Surroundings) -> Iterator[Symptom]:
     elif not opened.folder.calibration.exists():
         yield Symptom(
             f"{case.run} has no calibration: the tool may be millimetres from where the encoders see it",
-            f"rejoint calibrate {opened.robot} {case.run}",
+            f"rejoint calibrate {opened.robot} {case.run} --measure touch",
         )
     else:
         yield Symptom(f"{case.run} is a run of {opened.robot}, with a calibration")
@@ -235,7 +235,8 @@ def doctor(call: Call, robot: str | None = None, run: Path | None = None, camera
     system = f"{platform.platform()}, {os.cpu_count()} processors"
     call.result(f"rejoint {__version__}, Python {platform.python_version()}, {system}")
     ill, rows = 0, []
-    for name, one in examine(Surroundings(robot=robot, run=run, camera=camera)):
+    arm = call.arm() if call.pick.arm else None
+    for name, one in examine(Surroundings(robot=robot, run=run, camera=camera, arm=arm)):
         ill += bool(one.fix)
         rows.append({"check": name, **one._asdict()})
         call.result(f"{'FIX ' if one.fix else 'ok  '} {name}: {one.found}{f'; {one.fix}' if one.fix else ''}")
