@@ -616,7 +616,7 @@ class ArmDriver:
         self.drive(controller, Schedule(dwell=timeout, give_up=look), reference)
         if not (reached or motion.ended.is_set()):
             advice = "Give it more time or room, or look whether something is in its way"
-            joint, why = (None, "") if motors is None else too_heavy(arm, here, motors.usable)
+            joint, why = (None, "") if motors is None else too_heavy(arm, here, motors.most)
             raise NotReachedError(
                 f"the arm did not come within {wanted} of {motion.goal}, still {left} off; it holds. "
                 f"{lags}. {advice if joint is None else f'Its load is too heavy there: {why}'}"
