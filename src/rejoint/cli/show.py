@@ -78,7 +78,8 @@ def calibration(found: rejoint.Calibrated) -> Shown:
     count = fitting(own.suspects, own.points).sum()
     yield (
         f"At {count} measurements, each predicted without its own posture, the tool was {1e3 * found.before:.2f} mm "
-        f"from where the encoders see it, and {1e3 * found.after:.2f} mm from where the calibration does."
+        f"from where the encoders see it, and {1e3 * found.after:.2f} mm from where the calibration does, in the "
+        "coordinates that were measured."
     )
     if own.frame_name != "base":
         yield f"The place of the {own.frame_name} was fitted along: what all postures share is not in these numbers."

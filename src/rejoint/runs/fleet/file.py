@@ -172,7 +172,7 @@ def read_fleet(path: Path | str) -> Fleet:
             arm.opening, arm.built  # noqa: B018 - what cannot be read or built is refused now
             spot = place_of(arm.address).spot
             if arm.name in {other.name for other in arms.values()}:
-                raise ValueError("two arms have this name")
+                raise ValueError("another arm has this name")
             if spot in arms:
                 raise ValueError(f"address {arm.address!r} is that of {arms[spot].name}, too")
         except (ValueError, FileError) as error:
