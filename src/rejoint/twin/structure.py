@@ -27,6 +27,10 @@ USUAL_ACCELERATION = 39.0
 """[rad/s^2] limit of the reference's acceleration to try first; that of an STS3215"""
 FACTORS = (2.0, 2.0 ** (1 / 3))
 """Steps to other limits, each fitted from the best until none is better; chosen"""
+FASTEST = 160.0
+"""[rad/s^2] of a limit that does not show any more; chosen"""
+BETTER = 0.98
+"""Loss over that of the best limit so far, of a better one; chosen"""
 EARLIER = 0.01
 """[s] of delay that imitates a limited acceleration; measured"""
 
@@ -154,20 +158,19 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
         found = fit(problem, moved, SHORT).vector
         return _losses(problem, found), found
 
-    without, _ = tried(np.inf, start, simple.acceleration)
-    fits = {usual: tried(usual, start, simple.acceleration)}
-    ratios = {usual: _ratio(fits[usual][0], without)}
+    best, (losses, y) = usual, tried(usual, start, simple.acceleration)
     for factor in FACTORS:
-        best, last = min(ratios, key=lambda a: ratios[a]), None
-        while best != last:
-            last = best
-            for acceleration in (best / factor, best * factor):
-                fits[acceleration] = tried(acceleration, fits[best][1], best)
-                ratios[acceleration] = _ratio(fits[acceleration][0], without)
-            best = min(ratios, key=lambda a: ratios[a])
-    if ratios[best] < 1.0 - LIMIT_GAIN:
+        gained = True
+        while gained:
+            near = {acceleration: tried(acceleration, y, best) for acceleration in (best / factor, best * factor)}
+            nearest = min(near, key=lambda one: _ratio(near[one][0], losses))
+            gained = nearest < FASTEST and _ratio(near[nearest][0], losses) < BETTER
+            if gained:
+                best, (losses, y) = nearest, near[nearest]
+    held, without = (tried(acceleration, y, best)[0] for acceleration in (usual, np.inf))
+    if _ratio(losses, without) < 1.0 - LIMIT_GAIN:
         return replace(simple, acceleration=best)
-    return simple if ratios[usual] < 1.0 / (1.0 - LIMIT_GAIN) else replace(simple, acceleration=np.inf)
+    return simple if _ratio(held, without) < 1.0 / (1.0 - LIMIT_GAIN) else replace(simple, acceleration=np.inf)
 
 
 def find_structure(make: Callable[[Structure], Problem], structure: Structure, start: Array) -> tuple[Structure, Array]:
