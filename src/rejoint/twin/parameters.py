@@ -317,7 +317,7 @@ def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
     return Prior(mean=mean, sigma=sigma, lower=lower_, upper=upper_, correlation=_alike(arm, table))
 
 
-SIZE = 0.5
+SIZE = 0.2
 """Correlation of the logarithms of one joint, or of equal servos: larger ones have more of all; chosen"""
 
 
