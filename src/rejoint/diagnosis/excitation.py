@@ -2,8 +2,6 @@
 
 Segments: ``approach``; ``still`` (noise, hunting); ``sweep``, slow, at two speeds; ``step`` of each joint alone (lag,
 overshoot); ``multisine``, band-limited (dynamics); ``hold``, postures of different gravity torques, from both sides.
-
-Postures respect joint limits, floor, column and the largest load.
 """
 
 from __future__ import annotations

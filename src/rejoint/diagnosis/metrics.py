@@ -9,7 +9,7 @@ tau and Coulomb friction F is
     e = (d/k) q' + (F/k) sign(q') + (J/k) q'' + tau/k + offset + (f/k) (|tau| - mean |tau|) sign(q')
 
 with friction F at the mean load, which grows by f (Linderoth et al. 2013). Only the start of a step separates delay
-from lag: of a fit for each delay, the one that predicts these starts best wins.
+from lag.
 """
 
 from __future__ import annotations

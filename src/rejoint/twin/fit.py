@@ -1,14 +1,11 @@
 """Maximum a posteriori fit of a twin's parameters to windows of motion, by block Gauss-Newton.
 
-One simulation perturbs one parameter of every joint. Levenberg-Marquardt (Nocedal and Wright, chapter 10), pseudo-Huber
-loss (Charbonnier et al. 1997), Gaussian prior; residuals within `MEMORY` are one observation.
+Levenberg-Marquardt (Nocedal and Wright, chapter 10), pseudo-Huber loss (Charbonnier et al. 1997), Gaussian prior;
+residuals within `MEMORY` are one observation.
 
-Its uncertainty is the jackknife over clusters, each left out by one Newton step (CR3 of Bell and McCaffrey 2002;
-Cameron and Miller 2015), with Student's quantile. Clusters are motions, or stretches of an excitation. Curvature and
-scores alone (Huber 1967) are too narrow.
-
-What a fit holds fixed widens it too ("consider" covariance, Schmidt 1966; Bierman 1977, chapter 8). A torque limit that
-explains no motion shows nothing, nor does that of a joint that is not explained.
+Its uncertainty is the jackknife over clusters (motions, or stretches of an excitation), each left out by one Newton
+step (CR3 of Bell and McCaffrey 2002; Cameron and Miller 2015), with Student's quantile. What a fit holds fixed widens
+it ("consider" covariance, Schmidt 1966; Bierman 1977, chapter 8).
 """
 
 from collections.abc import Collection, Iterator, Sequence

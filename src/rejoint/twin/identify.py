@@ -1,8 +1,7 @@
 """Identification: a twin with intervals from logs, judged on motion that the fit has not seen.
 
-An excitation is fitted under the prior of its arm; every fourth window is held out. In other logs only free motion
-counts, whole motions are held out, and priors are wide. Part of the motion decides on the structure
-(`rejoint.twin.structure`); after the judgement all motions are fitted, the table last.
+Of an excitation every fourth window is held out. In other logs only free motion counts, whole motions are held out,
+and priors are wide. After the judgement all motions are fitted, the table last.
 """
 
 from collections.abc import Sequence

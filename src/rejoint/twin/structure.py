@@ -1,7 +1,4 @@
-"""What a twin needs to explain some logs: limits and friction that grows with load.
-
-So fits to the same windows are compared.
-"""
+"""What a twin needs to explain some logs: limits and friction that grows with load."""
 
 from collections.abc import Callable
 from dataclasses import replace
