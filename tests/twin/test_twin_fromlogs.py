@@ -14,7 +14,7 @@ from rejoint.twin.fit import Problem
 from rejoint.twin.identify import FITTED, HEALTHY, REFITTED, LogSettings, Motions, identify_logs
 from rejoint.twin.parameters import pack, unknown_prior, unpack, vector_names
 from rejoint.twin.replay import Replay, cut, part, repeated
-from rejoint.twin.structure import EARLIER, Structure, find_acceleration
+from rejoint.twin.structure import EARLIER, Structure, find_acceleration, rough_fit
 from rejoint.twin.twin import NO_TWIN, TablePlane, read_twin
 
 TABLE = TablePlane(height=-0.02, slope_x=0.02, slope_y=0.0, stiffness=3000.0, friction=0.2)
@@ -100,6 +100,19 @@ def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
             truth = replace(TRUTH, delay=TRUTH.delay - (EARLIER if known < np.inf else 0.0))
             start = np.clip(pack(truth), simple.prior.lower, simple.prior.upper)
             assert find_acceleration(problem, simple, start).acceleration == expected
+
+
+def test_a_slow_acceleration_is_found_although_damping_stands_in_for_it():
+    logs = [record(f"slow{k}", *wandering(k, 12.0), acceleration=4.0) for k in range(2)]
+    windows = cut(logs, 8.0)
+
+    def problem(structure):
+        shown = Replay(ARM, logs, windows, STEP, acceleration=structure.acceleration)
+        return Problem(shown, structure.prior, structure.frozen)
+
+    usual = Structure(belief=unknown_prior(ARM), acceleration=39.0)
+    found = find_acceleration(problem, usual, rough_fit(problem(usual)))
+    assert found.acceleration == pytest.approx(4.0, rel=0.15)
 
 
 def test_threads_do_not_change_what_is_found(logs, monkeypatch):
