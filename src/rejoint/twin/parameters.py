@@ -317,17 +317,20 @@ def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
     return Prior(mean=mean, sigma=sigma, lower=lower_, upper=upper_, correlation=_alike(arm, table))
 
 
-SIZE = 0.2
-"""Correlation of the logarithms of one joint, or of equal servos: larger ones have more of all; chosen"""
+SIZED = ("stiffness", "damping", "coulomb", "armature")
+"""Parameters of which a larger servo has more"""
+SIZE, SIZE_UNKNOWN = 0.5, 0.2
+"""Correlation of their logarithms: known and other arms; chosen"""
 
 
 def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array:
     """Correlation (k, k) by the size of the servos, and of joints with equal ones."""
     layout = Layout(arm.joints)
+    size = SIZE if table is PARAMETERS else SIZE_UNKNOWN
     servos = np.array([one or f"{joint}" for joint, one in enumerate(arm.servos or [""] * arm.joints)])
     same = servos[:, None] == servos
-    sized = layout.is_log & (layout.owner >= 0)
-    correlation = SIZE * np.outer(sized, sized) * same[np.ix_(layout.owner, layout.owner)]
+    sized = np.isin(layout.kind, [number(name) for name in SIZED])
+    correlation = size * np.outer(sized, sized) * same[np.ix_(layout.owner, layout.owner)]
     for p in table:
         if p.alike is not None:
             at = layout.at(p.name)
