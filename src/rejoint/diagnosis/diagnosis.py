@@ -23,7 +23,7 @@ from rejoint.diagnosis.segments import (
 from rejoint.diagnosis.verdict import RULES, Finding, find
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.consistency import refuse_copies, remarks_on, require_commands, states_alone
-from rejoint.logs.exclusions import Exclusions, answered, declared, find_exclusions, table_height, unpowered_joints
+from rejoint.logs.exclusions import UNPOWERED, Exclusions, declared, find_exclusions, table_height, unpowered_joints
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
@@ -72,7 +72,8 @@ IN_MOTION = ("low_damping", "lag")
 
 UNKNOWN = {
     "stiffness_nm_per_rad": "The stiffness of {}, and so the torque that friction takes, cannot be told. Gravity does "
-    "not load it enough in these motions, they disagree too much, or its controller may carry the weight.",
+    "not load it enough in these motions, its controller may carry the weight, or they disagree too much. Where load "
+    "or tool changed between them, diagnose those logs apart.",
     "lag_s": "Friction, lag and zero of {} cannot be told: too little slow motion, as of a joint that sticks or is too "
     "weak, in one direction only, or with readings too far apart.",
     "overshoot": "Whether {} shoots over cannot be told: too few steps.",
@@ -160,7 +161,6 @@ def diagnose_logs(
     for log in logs:
         log.require(arm)
     refuse_copies(logs, "diagnosis")
-    logs = declared(logs)
     bare = states_alone(logs, "diagnosis")
     if any(log.torque is None and log.current is None for log in logs):
         require_commands(logs, "diagnosis")
@@ -182,7 +182,7 @@ def diagnose_logs(
     told = _by_effort(measurement, grown)
     if not bare:
         told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(arm, measurement, rest, healthy))
-    silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
+    silent = {joint: log.label for log in declared(logs) for joint in unpowered_joints(log)}
     doubt = data.log.extra.get(ZEROS) or sag_doubt(data)
     return Diagnosis(
         arm=arm.name,
@@ -282,7 +282,9 @@ def _evidence(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], 
 def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Estimate | None:
     means: list[float] = []
     for log, rows in zip(logs, excluded, strict=True):
-        position, command = resting_postures(answered(log), rows)
+        position, command = resting_postures(log, rows)
+        off = np.isin(arm.joint_names, log.extra.get(UNPOWERED, "").split(","))
+        command[:, off] = position[:, off]
         if ZEROS in log.extra or not len(position):
             continue
         error = np.linalg.norm(tcp_position(arm, command) - tcp_position(arm, position), axis=-1) * 1e3
