@@ -9,7 +9,7 @@ from motion_logs import ARM, PERIOD, STEP, TRUTH, centre_of, pressing, record, s
 from rejoint.arms import gravity_torque, tcp_position
 from rejoint.logs.exclusions import UNPOWERED
 from rejoint.logs.runlog import RunLog
-from rejoint.twin import replay
+from rejoint.twin import identify, replay
 from rejoint.twin.fit import Problem
 from rejoint.twin.identify import FITTED, HEALTHY, REFITTED, LogSettings, Motions, identify_logs
 from rejoint.twin.parameters import pack, unknown_prior, unpack, vector_names
@@ -117,12 +117,14 @@ def test_a_slow_acceleration_is_found_although_damping_stands_in_for_it():
 
 def test_threads_do_not_change_what_is_found(logs, monkeypatch):
     few = LogSettings(coarse_seconds=8.0, fit_seconds=8.0, far_seconds=8.0, contact_seconds=8.0, hold_out=("press1",))
-    chosen = [logs[i] for i in (0, 1, 9, 10)]
+    chosen = [replace(logs[i], extra={UNPOWERED: ARM.joint_names[3]}) for i in (0, 1, 9, 10)]
+    monkeypatch.setattr(identify, "IDENTIFIED", 2.0)
     two = identify_logs(ARM, chosen, few)
     monkeypatch.setattr(replay, "THREADS", 1)
     one = identify_logs(ARM, chosen, few)
     assert one.digest() == two.digest()
     assert one.table == two.table
+    assert one.unknown_scale == (ARM.joint_names[3],)
 
 
 @pytest.mark.parametrize("early", [0, 1])
@@ -147,6 +149,7 @@ def test_gravity_fed_forward_is_no_stiffness_and_an_unpowered_joint_is_replayed_
         logs.append(replace(fed, arm=stranger.name, command=command, position=position))
     found = identify_logs(stranger, logs, LogSettings(coarse_seconds=8.0, fit_seconds=15.0, far_seconds=5.0))
     told = dict(zip(found.names, found.identified, strict=True))
+    assert f"never answers: {ARM.joint_names[4]}" in " ".join(found.notes)
     assert not any(known for name, known in told.items() if name.startswith(("stiffness", "damping", "coulomb")))
     assert {*found.unknown["compensation"]} >= {*ARM.joint_names[:4]}
     low, high = found.interval

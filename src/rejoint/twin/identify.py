@@ -166,8 +166,8 @@ def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
     arm, measured = replay.arm, replay.measured
     both = np.vstack([vector, *([pack(healthy_parameters(arm))] if is_hobby(arm) else [])])
     predicted = [replay.commands, *replay.predict(unpack(both, arm.joints))]
-    no_twin, twin, *healthy = (prediction_error(arm, positions, measured) for positions in predicted)
-    return HeldOut(seconds=replay.seconds, no_twin=no_twin, healthy_twin=healthy[0] if healthy else None, twin=twin)
+    errors = (prediction_error(arm, positions, measured) for positions in predicted)
+    return HeldOut(seconds=replay.seconds, **dict(zip(("no_twin", "twin", "healthy_twin"), errors, strict=False)))
 
 
 def fitted_twin(
@@ -198,10 +198,12 @@ def fitted_twin(
     identified[at("delay")] &= parameters.delay > 0.0
     identified[at("compensation")] = identified[at("stiffness")]  # what the sag leaves to either
     identified[at("damping")] &= ~found.at_bound[at("delay")]
+    silent = problem.powered.sum(axis=0) == 0
+    identified[np.isin(problem.layout.owner, np.flatnonzero(silent))] = False
     lower = unpack(belief.lower, problem.joints)
     # a limit that no motion reaches is anything above what was shown
-    raised = np.maximum(held, unreached * drive_torque(problem, vector, OFTEN))
-    raised = np.clip(raised, lower.torque_limit, 0.99 * limit)
+    shown = np.maximum(held, unreached * drive_torque(problem, vector, OFTEN))
+    raised = np.clip(shown, lower.torque_limit, 0.99 * limit)
     covariance[place, place] += np.diag((unreached | problem.frozen[place]) * (np.log(limit / raised) / NORMAL95) ** 2)
     twin = Twin(
         arm=replay.arm.name,
@@ -217,7 +219,7 @@ def fitted_twin(
         acceleration=replay.acceleration,
         table=table,
     )
-    return replace(twin, notes=tuple(_notes(twin, found, light)))
+    return replace(twin, notes=tuple(_notes(twin, found, light, silent)))
 
 
 def largest_static_torque(replay: Replay, coulomb: Array) -> Array:
@@ -227,7 +229,7 @@ def largest_static_torque(replay: Replay, coulomb: Array) -> Array:
     return np.max(load * (np.abs(speed) < STILL_SPEED), axis=0, initial=0.0)
 
 
-def _notes(twin: Twin, found: Fit, light: Mask) -> list[str]:
+def _notes(twin: Twin, found: Fit, light: Mask, silent: Mask) -> list[str]:
     notes, held_out = [], twin.held_out
     low, high = (end.compensation for end in twin.interval)
     if (fed := np.flatnonzero(np.maximum(low, -high) * ~light > LEAST_FED)).size:
@@ -236,6 +238,8 @@ def _notes(twin: Twin, found: Fit, light: Mask) -> list[str]:
             "model's gravity do not show: the controller feeds them forward, a spring carries them, or the model is "
             "too heavy; below zero, it is too light, or the arm carries a load"
         )
+    if silent.any():
+        notes.append(f"replayed where it was, as it never answers: {', '.join(compress(twin.joint_names, silent))}")
     if twin.unknown_scale:
         notes.append(
             f"only the ratios of stiffness, damping, friction, inertia and torque limit are known, not their common "
