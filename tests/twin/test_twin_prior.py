@@ -9,14 +9,10 @@ from modelfiles import resized
 from rejoint.arms import gravity_torque, mycobot280, so101
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.fit import Problem
-from rejoint.twin.identify import IDENTIFIED
 from rejoint.twin.parameters import (
-    SIZED,
     Layout,
     healthy_parameters,
     nominal_parameters,
-    number,
-    prior,
     unknown_prior,
 )
 from rejoint.twin.replay import Replay, cut
@@ -36,14 +32,6 @@ def test_the_prior_of_a_resized_arm_has_the_dimensions_of_its_quantities(length,
         assert (new.delay, new.ramp_speed) == (old.delay, old.ramp_speed)
         sag = [gravity_torque(arm, ARM.rest) / twin.stiffness for arm, twin in ((ARM, old), (other, new))]
         np.testing.assert_allclose(sag[1], sag[0], rtol=1e-9, atol=1e-15)
-
-
-def test_all_priors_together_do_not_identify_the_scale_of_a_joint():
-    for belief in (prior(ARM), unknown_prior(ARM)):
-        layout = belief.layout
-        one = (layout.owner == 1) & np.isin(layout.kind, [number(name) for name in SIZED])
-        sigma = belief.precision[np.ix_(one, one)].sum() ** -0.5
-        assert sigma > IDENTIFIED * belief.sigma[layout.at("stiffness")][0]
 
 
 def test_cost_of_a_joint_is_that_of_moving_it_alone():

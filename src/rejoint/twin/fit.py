@@ -123,8 +123,7 @@ class Problem:
         precision, away, moved = self.prior.precision, vectors - self.prior.mean, vectors - vectors[0]
         pull = away @ precision
         data = (loss(residuals) * weights).sum(axis=1)
-        within = precision * (self.owner[:, None] == self.owner)
-        own = (moved * (pull[0] + 0.5 * moved @ within))[:, self.owner >= 0]
+        own = (moved * (pull[0] + 0.5 * np.diag(precision) * moved))[:, self.owner >= 0]
         alone = data + own.reshape(len(own), -1, self.joints).sum(axis=1)
         return alone, data.sum(axis=1) + 0.5 * (pull * away).sum(axis=1)
 

@@ -74,6 +74,9 @@ FITTED, HEALTHY = "fitted twin", "healthy twin"
 IDENTIFIED = 0.5
 """Sigma over the prior's of an identified parameter; chosen"""
 
+SCALE = ("stiffness", "damping", "coulomb", "armature")
+"""Parameters of a joint with one scale, where nothing tells torques"""
+
 LIGHT_SAG = 1e-3
 """[rad] sag of a joint whose offset shows without its stiffness; chosen"""
 
@@ -166,8 +169,8 @@ def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
     arm, measured = replay.arm, replay.measured
     both = np.vstack([vector, *([pack(healthy_parameters(arm))] if is_hobby(arm) else [])])
     predicted = [replay.commands, *replay.predict(unpack(both, arm.joints))]
-    errors = (prediction_error(arm, positions, measured) for positions in predicted)
-    return HeldOut(seconds=replay.seconds, **dict(zip(("no_twin", "twin", "healthy_twin"), errors, strict=False)))
+    no_twin, twin, *healthy = (prediction_error(arm, positions, measured) for positions in predicted)
+    return HeldOut(seconds=replay.seconds, no_twin=no_twin, healthy_twin=healthy[0] if healthy else None, twin=twin)
 
 
 def fitted_twin(
@@ -188,8 +191,13 @@ def fitted_twin(
     place, vector = at("torque_limit"), found.vector.copy()
     vector[place] = np.where(unreached, belief.upper[place], vector[place])
     parameters = unpack(vector, problem.joints)
-    narrowing = np.sqrt(np.diag(covariance)) / (belief.sigma if belief.told is None else belief.told)
+    told, sigma = belief.sigma if belief.told is None else belief.told, np.sqrt(np.diag(covariance))
+    narrowing = sigma / told
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen & (not doubted)
+    silent = problem.powered.sum(axis=0) == 0
+    together = sum(told[at(name)] ** -2 for name in SCALE) ** -0.5  # of their scale, by all priors without data
+    mute, vague = (np.append(one, False)[problem.owner] for one in (silent, sigma[at("stiffness")] > together))
+    identified &= ~mute & ~(vague & belief.layout.is_log)
     held, limit = largest_static_torque(replay, parameters.coulomb), parameters.torque_limit
     identified[place] &= ~unreached
     light = np.abs(problem.gravity) < LIGHT_SAG * parameters.stiffness
@@ -198,12 +206,10 @@ def fitted_twin(
     identified[at("delay")] &= parameters.delay > 0.0
     identified[at("compensation")] = identified[at("stiffness")]  # what the sag leaves to either
     identified[at("damping")] &= ~found.at_bound[at("delay")]
-    silent = problem.powered.sum(axis=0) == 0
-    identified[np.isin(problem.layout.owner, np.flatnonzero(silent))] = False
     lower = unpack(belief.lower, problem.joints)
     # a limit that no motion reaches is anything above what was shown
-    shown = np.maximum(held, unreached * drive_torque(problem, vector, OFTEN))
-    raised = np.clip(shown, lower.torque_limit, 0.99 * limit)
+    raised = np.maximum(held, unreached * drive_torque(problem, vector, OFTEN))
+    raised = np.clip(raised, lower.torque_limit, 0.99 * limit)
     covariance[place, place] += np.diag((unreached | problem.frozen[place]) * (np.log(limit / raised) / NORMAL95) ** 2)
     twin = Twin(
         arm=replay.arm.name,

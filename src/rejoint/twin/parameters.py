@@ -317,25 +317,14 @@ def prior(arm: Arm, table: tuple[Parameter, ...] = PARAMETERS) -> Prior:
     return Prior(mean=mean, sigma=sigma, lower=lower_, upper=upper_, correlation=_alike(arm, table))
 
 
-SIZED = ("stiffness", "damping", "coulomb", "armature")
-"""Parameters of which a larger servo has more"""
-SIZE, SIZE_UNKNOWN = 0.5, 0.2
-"""Correlation of their logarithms: known and other arms; chosen"""
-
-
 def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array:
-    """Correlation (k, k) by the size of the servos, and of joints with equal ones."""
-    layout = Layout(arm.joints)
-    size = SIZE if table is PARAMETERS else SIZE_UNKNOWN
-    servos = np.array([one or f"{joint}" for joint, one in enumerate(arm.servos or [""] * arm.joints)])
-    same = servos[:, None] == servos
-    sized = np.isin(layout.kind, [number(name) for name in SIZED])
-    correlation = size * np.outer(sized, sized) * same[np.ix_(layout.owner, layout.owner)]
+    """Correlation (k, k) of joints with equal servos."""
+    layout, servos = Layout(arm.joints), arm.servos or ("",) * arm.joints
+    same = np.array([[one == other != "" for other in servos] for one in servos]) & ~np.eye(arm.joints, dtype=bool)
+    correlation = np.eye(layout.size)
     for p in table:
         if p.alike is not None:
-            at = layout.at(p.name)
-            correlation[at, at] = same * (1.0 - (p.alike / p.sigma) ** 2)
-    np.fill_diagonal(correlation, 1.0)
+            correlation[layout.at(p.name), layout.at(p.name)] += same * (1.0 - (p.alike / p.sigma) ** 2)
     return correlation
 
 

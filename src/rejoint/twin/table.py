@@ -1,7 +1,7 @@
 """An arm whose tip may touch a table: the plane, its fit to motion in contact, and its simulation by MuJoCo.
 
-Per joint: torque = clip(stiffness (command + offset - q) -
-(damping - b) qdot, +-limit) - b qdot - dry friction with `back_emf` b, without contacts of links and joint stops.
+Per joint: torque = clip(stiffness (command + offset - q) - (damping - b) qdot, +-limit) - b qdot - dry friction with
+`back_emf` b, without contacts of links and joint stops.
 Friction constraints are nearly rigid (MuJoCo's default creeps 1 deg/s). The Jacobian is dense (the sparse Cholesky of
 MuJoCo 4.0.0 has a fault), the solver projected Gauss-Seidel (Newton's method stops too early).
 
