@@ -23,7 +23,7 @@ from rejoint.diagnosis.segments import (
 from rejoint.diagnosis.verdict import RULES, Finding, find
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.consistency import refuse_copies, remarks_on, require_commands, states_alone
-from rejoint.logs.exclusions import UNPOWERED, Exclusions, declared, find_exclusions, table_height, unpowered_joints
+from rejoint.logs.exclusions import Exclusions, answered, declared, find_exclusions, table_height, unpowered_joints
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
@@ -161,6 +161,7 @@ def diagnose_logs(
     for log in logs:
         log.require(arm)
     refuse_copies(logs, "diagnosis")
+    logs = declared(logs)
     bare = states_alone(logs, "diagnosis")
     if any(log.torque is None and log.current is None for log in logs):
         require_commands(logs, "diagnosis")
@@ -182,13 +183,13 @@ def diagnose_logs(
     told = _by_effort(measurement, grown)
     if not bare:
         told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(arm, measurement, rest, healthy))
-    silent = {joint: log.label for log in declared(logs) for joint in unpowered_joints(log)}
+    silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
     doubt = data.log.extra.get(ZEROS) or sag_doubt(data)
     return Diagnosis(
         arm=arm.name,
         robot=source,
         condition="worn" if grown else _condition(findings, measurement, healthy),
-        verdict=f"{_resting(evidence, healthy)}{told} {doubt and f'But {doubt}. '}{_motions(evidence)}",
+        verdict=f"{_resting(evidence, healthy, [*silent])}{told} {doubt and f'But {doubt}. '}{_motions(evidence)}",
         findings=findings,
         unseen=(
             *(f"{joint} does not answer in {label}: unpowered, too weak or stuck." for joint, label in silent.items()),
@@ -282,9 +283,7 @@ def _evidence(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], 
 def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Estimate | None:
     means: list[float] = []
     for log, rows in zip(logs, excluded, strict=True):
-        position, command = resting_postures(log, rows)
-        off = np.isin(arm.joint_names, log.extra.get(UNPOWERED, "").split(","))
-        command[:, off] = position[:, off]
+        position, command = resting_postures(answered(log), rows)
         if ZEROS in log.extra or not len(position):
             continue
         error = np.linalg.norm(tcp_position(arm, command) - tcp_position(arm, position), axis=-1) * 1e3
@@ -304,14 +303,15 @@ def _rest(logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Postures:
     return np.stack([passed, passed])
 
 
-def _resting(evidence: Evidence, healthy: HealthyReference | None) -> str:
+def _resting(evidence: Evidence, healthy: HealthyReference | None, silent: Sequence[str]) -> str:
     error = evidence.rest_error_mm
     if error is None:
         return ""
+    without = f" without {', '.join(silent)} (no answer)" if silent else ""
     likely = "" if error.low is None else f" ({error.low:.1f} to {error.high:.1f})"
     return (
         f"Where it rests, the tool is {error.value:.1f} mm{likely} from where it was sent, by the arm's own "
-        f"encoders{_usual(healthy)}. "
+        f"encoders{without}{_usual(healthy)}. "
     )
 
 
