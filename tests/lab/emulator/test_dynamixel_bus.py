@@ -56,6 +56,9 @@ GOLDEN = {
     "FF FF FD 00 FE 10 00 93 01 20 00 02 00 A0 00 02 1F 00 01 00 50 B7 68": Packet(
         BROADCAST, BULK_WRITE, bytes([1, 32, 0, 2, 0, 160, 0, 2, 31, 0, 1, 0, 80])
     ),
+    "FF FF FD 00 FE 0D 00 82 7E 00 0A 00 01 02 03 04 05 06 18 B7": Packet(
+        BROADCAST, SYNC_READ, bytes([126, 0, 10, 0, 1, 2, 3, 4, 5, 6])
+    ),
     "FF FF FD 00 06 09 00 03 14 00 9C FF FF FF D5 95": Packet(6, WRITE, bytes([20, 0, 0x9C, 255, 255, 255])),
 }
 """ROBOTIS' manual of protocol 2, and what its client was seen to send"""
