@@ -1,8 +1,8 @@
 """The learning task, and its recipes: bring the tool to a target and hold it there, on randomly drawn arms.
 
 N agents run in lockstep: a control cycle is a fixed number of physics steps, whose length varies. Observation, command
-law and guard are those of deployment, without limits of acceleration, contacts, and the
-push of stuck joints: with it, policies settle farther away.
+law and guard are those of deployment, without limits of acceleration, contacts, and the push of stuck joints: with it,
+policies settle farther away.
 
 Returns are bootstrapped from the last state of a target, also after a collision: else a policy would crash on purpose.
 """
