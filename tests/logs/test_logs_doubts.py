@@ -39,6 +39,7 @@ def test_states_that_answer_in_time_are_believed(rows: int, stepping: bool):
     ("rows", "said"),
     [
         (25, r"best 0.[34]. s before them.*stamped before .*exchanged"),
+        (85, r"best (1.6 s|0.96 s or more) before them"),
         (-15, r"best 0\.\d+ s after them.*or the clocks differ"),
     ],
 )
@@ -57,7 +58,7 @@ def test_a_real_arm_answers_in_time_and_not_before(name: str):
     (recorded,) = READERS["sage"].read(FOLDER / name, ImportOptions())
     found = read_motion(recorded, ARM, ImportOptions(), source=FOLDER / name, kind="sage")
     to_log(found, ARM)
-    for shift in (0.3, 0.5, -0.5):
+    for shift in (0.3, 0.5, -2.0):
         later = np.stack([np.interp(found.time - shift, found.time, one) for one in found.position.T], axis=1)
         with pytest.raises(FileError, match="follow their commands best"):
             to_log(replace(found, position=later), ARM)
@@ -138,12 +139,10 @@ def test_degrees_declared_as_normalised_and_the_reverse(tmp_path):
     middles = ImportOptions(angle_unit="normalised")
     pairs = (degrees, as_degrees), (degrees, known), (normalised, as_normalised), (normalised, middles)
     for source, options in pairs:
-        log = import_logs(source, ARM, out=tmp_path / "logs", options=options)
+        log = import_logs(source, ARM, out=tmp_path / f"{source.name} {id(options)}", options=options)
         np.testing.assert_allclose(log.logs[0].position, found.position, atol=1e-6)
         assert not any("nothing in the file tells" in note for note in log.notes)
         assert (ZEROS in log.logs[0].extra) == (options is middles)
-        for path in (tmp_path / "logs").iterdir():
-            path.unlink()
 
 
 def test_what_is_forced_is_kept_in_the_file(tmp_path):

@@ -1,6 +1,6 @@
 """Consistency checks of logs.
 
-Impossible numbers raise an error; unlikely ones are doubts; others give a note. Thresholds are chosen.
+Impossible numbers are errors, unlikely ones doubts, others notes. Thresholds are chosen.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,6 +20,8 @@ PLAUSIBLE = (0.0, 0.3)
 """[s] (a low-cost arm: 0.06 to 0.16 s)"""
 SEARCHED = 1.0
 """[s] to both sides; without other commands around a step"""
+FARTHEST = 10.0
+"""[s] likewise, by velocities"""
 SHORTEST = 4.0
 """[s] of a log with a lag"""
 
@@ -85,7 +87,7 @@ def _of_velocities(moved: Array, held: Array, step: float, period: float) -> Lag
     speed, asked, ones = speed[:, joints], asked[:, joints], np.ones((len(speed), joints.sum()))
     if not speed.any():
         return None
-    reach = min(round(SEARCHED / step), len(speed) // 2)
+    reach = min(round(FARTHEST / step), len(speed) // 2)
     later, sooner = np.stack([speed, speed**2, ones]), np.stack([asked, ones, asked**2])
     sums = fftconvolve(later, sooner[:, ::-1], axes=1)[:, len(speed) - 1 - reach : len(speed) + reach]
     power, whole = sums[1:], sums[1:, reach]
@@ -93,15 +95,17 @@ def _of_velocities(moved: Array, held: Array, step: float, period: float) -> Lag
     # where motion is shifted out of the log, nothing is left to compare
     follows[(power <= _OVERLAP * whole[:, None]).any(axis=0)] = 0.0
     unexplained = (1.0 - follows) @ whole[0] / whole[0].sum()
-    alike, unexplained = bool(unexplained.min() < _UNLIKE), unexplained + _EXACT
     lags, tolerance = step * np.arange(-reach, reach + 1.0), max(step, 0.5 * period) + 1e-9
-    best = int(np.argmin(unexplained))
-    near = np.flatnonzero((lags > PLAUSIBLE[0] - tolerance) & (lags < PLAUSIBLE[1] + tolerance))
-    if best in near:
-        return Lag(float(np.clip(lags[best], *PLAUSIBLE)), sure=True)
+    usual = np.clip(lags, *PLAUSIBLE)
+    near = np.flatnonzero(np.abs(lags - usual) < tolerance)
     inside = near[np.argmin(unexplained[near])]
-    ratio = unexplained[inside] / unexplained[best]
-    return Lag(float(lags[best]), sure=alike and bool(ratio > _SURE[inside not in (near[0], near[-1])]))
+    if not unexplained.min() < _UNLIKE <= unexplained[inside]:  # motion that repeats resembles its other rounds, too
+        unexplained[np.abs(lags) > SEARCHED] = 1.0
+    best, share = int(np.argmin(unexplained)), unexplained + _EXACT
+    if best in near:
+        return Lag(float(usual[best]), sure=True)
+    surely = share[inside] > share[best] * _SURE[inside not in (near[0], near[-1])]
+    return Lag(float(lags[best]), sure=bool(surely and unexplained[best] < _UNLIKE))
 
 
 def _of_steps(moved: Array, held: Array, step: float, quiet: int) -> Lag | None:
@@ -118,8 +122,7 @@ def _of_steps(moved: Array, held: Array, step: float, quiet: int) -> Lag | None:
                 shares.append(near / near[-1])
     if len(shares) < _FEWEST_STEPS:
         return None
-    begun = np.flatnonzero(np.median(shares, axis=0) > _BEGUN)
-    best = float((begun[0] - reach) * step) if len(begun) else SEARCHED
+    best = step * (int(np.argmax(np.median(shares, axis=0) > _BEGUN)) - reach)
     return Lag(best=best, sure=not PLAUSIBLE[0] - step < best < PLAUSIBLE[1] + step)
 
 
@@ -293,8 +296,8 @@ def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
         if far[joint] > FAR_OUT:
             said = (
                 f"{beyond} ({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad) in {100 * far[joint]:.0f} % of the "
+                f"samples, by up to {worst[joint]:.3g} rad"
             )
-            said += f"samples, by up to {worst[joint]:.3g} rad"
             yield said, f"check unit, joint order and zero posture (--angle-unit), or {GEAR_REMEDY}"
         yield f"{beyond} in {(excess[:, joint] > 0).sum()} samples, by up to {worst[joint]:.3g} rad", ""
     if len(motion) >= SPEED_ROWS:
@@ -434,8 +437,8 @@ def _check_lag(motion: RecordedMotion, command: Array) -> Iterator[Remark]:
     lag = find_lag(motion.time, motion.position, command)
     if lag is None or lag.plausible:
         return
-    side, more = "before" if lag.best < 0 else "after", " or more" * (abs(lag.best) > SEARCHED - 0.06)
-    said = f"best {abs(lag.best):.2g} s {side}{more} them, expected {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s after"
+    side, more = "before" if lag.best < 0 else "after", " or more" * (round(abs(lag.best), 1) == SEARCHED)
+    said = f"best {abs(lag.best):.2g} s{more} {side} them, expected {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s after"
     if not lag.sure:
         shows = "this motion does not tell surely whether the clocks differ"
         yield f"state: follows its commands {said}; {shows}", ""
