@@ -79,8 +79,12 @@ def test_arrays_are_commands_in_the_order_of_the_controller(tmp_path, storage: s
     assert "times are those of the recording" in said
 
 
-def test_a_bag_that_was_not_closed_is_refused(tmp_path):
-    source = write(tmp_path / "bag", "rosbag", states(worn_sample(seconds=6)))
+def test_a_bag_that_holds_no_positions_or_was_not_closed_is_refused(tmp_path):
+    source = write(tmp_path / "bag", "rosbag", [*states(worn_sample(seconds=6)), ("/cmd", 0, header(START))])
+    with pytest.raises(
+        FileError, match=r"no positions to read in std_msgs/msg/Header \(TypeError: none of position, data"
+    ):
+        import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(command_topic="/cmd"))
     source.with_name(f"{source.name}-wal").write_bytes(b"rest")
     with pytest.raises(FileError, match=r"was not closed: part of it is still in .*db3-wal"):
         import_logs(source, ARM, out=tmp_path / "logs")

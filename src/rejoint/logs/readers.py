@@ -35,7 +35,7 @@ class Reader(NamedTuple):
     """Reads one format."""
 
     fits: Callable[[Path, bool], bool]
-    """whether it reads a file or folder, which the user has named, or not: it is in the folder that was named"""
+    """whether it reads a file or folder, which was named itself, or else its folder was"""
     read: Callable[[Path, ImportOptions], Iterable[RawMotion]]
     """the motions in it"""
 
@@ -70,11 +70,10 @@ def _sage_motion(path: Path, names: list[str], group: str, ticks: float) -> RawM
         with reading(path, f"line {sheet.lines[row]}: {text[:40]!r} are no {len(names)} positions", remedy):
             numbers = json.loads(text)
             values[row] = numbers if len(numbers) == len(names) else "of another length"
-    columns = {f"{group}.{name}": numbers for name, numbers in zip(names, values.T, strict=True)}
     return RawMotion.of(
         path.parent.resolve().name,
         path,
-        columns,
+        {f"{group}.{name}": numbers for name, numbers in zip(names, values.T, strict=True)},
         time=sheet.numbers([1])[:, 0] / ticks,
         number=sheet.lines,
         place="line",
@@ -99,18 +98,19 @@ def _read_table(file: Path, options: ImportOptions) -> list[RawMotion]:
         columns, found = read(file)
         return [RawMotion.of(file.stem, file, columns, found=found)]
     sheet = read_sheet(file, whole=False)
-    motion = RawMotion(
-        name=file.stem,
-        path=file,
-        titles=tuple(ordered(sheet.titles, options)),
-        values=sheet.numbers,
-        number=sheet.lines,
-        place="line",
-        found=sheet.found,
-        notes=sheet.remarks,
-        time_unit="s" if sheet.dated else None,
-    )
-    return [motion]
+    return [
+        RawMotion(
+            name=file.stem,
+            path=file,
+            titles=tuple(ordered(sheet.titles, options)),
+            values=sheet.numbers,
+            number=sheet.lines,
+            place="line",
+            found=sheet.found,
+            notes=sheet.remarks,
+            time_unit="s" if sheet.dated else None,
+        )
+    ]
 
 
 def _records(file: Path) -> tuple[dict[str, Array], str]:
@@ -337,7 +337,7 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
             groups = _topics(held, options, file, notes)
             for topic, time, content in read({*groups}):
                 messages = found.setdefault(topic, [])
-                said = f"topic {topic}, message {len(messages) + 1}: no joint positions in {held[topic] or 'no type'}"
+                said = f"topic {topic}, message {len(messages) + 1}: no positions to read in {held[topic] or 'no type'}"
                 with reading(file, said, "name a topic with sensor_msgs/JointState, or record it again"):
                     messages.append(_message(content, groups[topic], time, options))
     except FileError:
@@ -418,6 +418,8 @@ def _message(content: Any, group: str, logged: int, options: ImportOptions) -> M
     """Joints of a decoded message; TypeError, ValueError."""
     held = {key: _some(content, paths) for key, paths in NAMES["messages"].items()}
     names, stamp = [*map(str, held["names"] or options.names)], _nanoseconds(held["stamp"])
+    if held["values"] is None:
+        raise TypeError(f"none of {', '.join(NAMES['messages']['values'])} in it")
     given = {group: held["values"]}
     if len(names) != len(given[group]):
         raise ValueError(f"{len(names)} names for {len(given[group])} {group}s; set --order if it holds no names")
