@@ -1,6 +1,7 @@
 """Cutting a chain out of a model: what is kept, what is frozen, what is refused."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -15,6 +16,7 @@ from rejoint.arms import (
     tcp_pose,
 )
 from rejoint.arms.inertia import pseudo_inertia, rigid_body
+from rejoint.arms.modelfile import cut, read_tree
 
 # Anchors off the body's origin, mixed axes, a joint reference, two joints on one body, a branch whose
 # reference lies outside of its limits, and a gripper.
@@ -29,7 +31,7 @@ AWKWARD = """<mujoco model="awkward"><compiler angle="radian" autolimits="true"/
   <body name="b" pos="0.1 0 0.3" euler="0.3 0.2 0.1"><joint name="j2" axis="1 0 0" ref="0.5" range="-2 2"/>
    <joint name="j3" axis="0 1 0.2" pos="0 0 0.05" range="-2 2"/>
    <geom type="capsule" size="0.03 0.1" pos="0 0 0.1"/>
-   <body name="c" pos="0 0.05 0.3"><joint name="j4" axis="0 1 0" range="-2 2"/>
+   <body name="c" pos="0 0.05 0.3" gravcomp="1"><joint name="j4" axis="0 1 0" range="-2 2" stiffness="3"/>
     <inertial pos="0 0 0.1" mass="0.7" diaginertia="0.002 0.002 0.001"/>
     <body name="d" pos="0 0 0.25"><joint name="j5" axis="-1 0 1" range="-2 2"/>
      <geom type="cylinder" size="0.02 0.05" pos="0 0 0.05"/><site name="tcp" pos="0.01 0.02 0.15" euler="0.1 0.7 0"/>
@@ -43,6 +45,9 @@ AWKWARD = """<mujoco model="awkward"><compiler angle="radian" autolimits="true"/
 <keyframe><key qpos="0 0 0 0 0 0 0 0"/></keyframe></mujoco>"""
 
 
+close = partial(np.testing.assert_allclose, atol=1e-12)
+
+
 def written(folder: Path, text: str) -> Path:
     path = folder / "arm.xml"
     path.write_text(text)
@@ -52,12 +57,12 @@ def written(folder: Path, text: str) -> Path:
 def test_an_awkward_chain_agrees_with_mujoco(tmp_path: Path) -> None:
     arm = without_workspace(written(tmp_path, AWKWARD), None, "tcp")
     assert arm.joint_names == ("j1", "j2", "j3", "j4", "j5")
+    assert cut(read_tree(tmp_path / "arm.xml"), None, "tcp").notes[-1].startswith("springs, gravcomp in the file")
     spec = mujoco.MjSpec.from_string(AWKWARD)
-    for geom in [g for b in spec.bodies for g in b.geoms if g.meshname]:
-        spec.delete(geom)
     for geom in spec.geoms:
         geom.material = ""
-    for element in [*spec.meshes, *spec.materials, *spec.textures, *spec.keys]:
+    drawn = [geom for geom in spec.geoms if geom.meshname]
+    for element in [*drawn, *spec.meshes, *spec.materials, *spec.textures, *spec.keys]:
         spec.delete(element)
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -72,9 +77,9 @@ def test_an_awkward_chain_agrees_with_mujoco(tmp_path: Path) -> None:
         mujoco.mj_jacSite(model, data, jacobians[0], jacobians[1], model.site("tcp").id)
         turn = data.body("table").xmat.reshape(3, 3)
         expected = turn.T @ (data.site("tcp").xpos - data.body("table").xpos)
-        np.testing.assert_allclose(tcp_pose(arm, q)[:3, 3], expected, atol=1e-12)
-        np.testing.assert_allclose(tcp_pose(arm, q)[:3, :3], turn.T @ data.site("tcp").xmat.reshape(3, 3), atol=1e-12)
-        np.testing.assert_allclose(jacobian(arm, q), np.vstack(turn.T @ jacobians)[:, chain], atol=1e-12)
+        close(tcp_pose(arm, q)[:3, 3], expected)
+        close(tcp_pose(arm, q)[:3, :3], turn.T @ data.site("tcp").xmat.reshape(3, 3))
+        close(jacobian(arm, q), np.vstack(turn.T @ jacobians)[:, chain])
         # the link between the two joints of one body has no mass of its own and gets a small one
         bare = replace(arm, mass=np.where(np.arange(5) == 1, 0.0, arm.mass))
         np.testing.assert_allclose(gravity_torque(bare, q), data.qfrc_bias[chain], atol=1e-9)
@@ -90,7 +95,7 @@ def test_lumping_two_balls_by_hand() -> None:
     quarter_turn = np.array([[0, -1, 0, 5], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
     _, com, inertia = rigid_body(quarter_turn @ whole @ quarter_turn.T)
     np.testing.assert_allclose(com, [5, 3, 0], atol=1e-15)
-    np.testing.assert_allclose(inertia, np.diag([12, 0, 12]), atol=1e-12)
+    close(inertia, np.diag([12, 0, 12]))
 
 
 def numbers(values: np.ndarray) -> str:
@@ -123,8 +128,8 @@ def test_arms_of_any_number_of_joints_about_any_axes(tmp_path: Path, joints: int
         data.qpos[:] = q
         mujoco.mj_forward(model, data)
         mujoco.mj_jacSite(model, data, jac[0], jac[1], 0)
-        np.testing.assert_allclose(tcp_pose(arm, q)[:3, 3], data.site_xpos[0], atol=1e-12)
-        np.testing.assert_allclose(jacobian(arm, q), np.vstack(jac), atol=1e-12)
+        close(tcp_pose(arm, q)[:3, 3], data.site_xpos[0])
+        close(jacobian(arm, q), np.vstack(jac))
         np.testing.assert_allclose(gravity_torque(arm, q), data.qfrc_bias, atol=1e-9)
     near = 0.9 * postures + 0.02
     solution = solve_position(arm, tcp_pose(arm, 0.9 * postures)[:, :3, 3], near)

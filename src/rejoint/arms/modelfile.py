@@ -9,7 +9,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from copy import copy
-from itertools import takewhile
+from itertools import compress, takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from rejoint.arms.arm import UNKNOWN, Arm, Array, Loaded
 from rejoint.arms.inertia import ball_moment, inertia_matrix, pseudo_inertia, rigid_body, usable
+from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.rotations import inverse, pose_of
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
@@ -197,8 +198,10 @@ def _held(model: Any, j: int, name: str, place: float | str) -> tuple[float, str
         place = float(number[1]) * _UNITS[kind][number[2]]
     unit, scale = next(iter(_UNITS[kind].items()))
     if model.jnt_limited[j] and not low - 1e-9 <= place <= high + 1e-9:
-        ends = f"it goes from {low / scale:.4g} to {high / scale:.4g} {unit}"
-        raise InputError(f"joint {name} cannot be held at {place / scale:.4g} {unit}: {ends}")
+        raise InputError(
+            f"joint {name} cannot be held at {place / scale:.4g} {unit}: it goes from {low / scale:.4g} to "
+            f"{high / scale:.4g} {unit}"
+        )
     return place, f"{place / scale:.4g} {unit}"
 
 
@@ -238,7 +241,7 @@ def parse(path: Path) -> ET.Element:
         raise FileError(path, f"it is no XML in the encoding that it declares: {error}", "correct the file") from error
     if root.tag not in ("robot", "mujoco"):
         raise FileError(path, f"its root element is <{root.tag}>", "give a URDF (<robot>) or an MJCF (<mujoco>) file")
-    xacro = any(tag.startswith("xacro_") for tag in {element.tag for element in root.iter()} - {"xacro_property"})
+    xacro = any(one.tag.startswith("xacro_") and one.tag != "xacro_property" for one in root.iter())
     if root.tag == "robot":
         for parent in (root, *root):
             kept = tuple(_PARTS) if parent is root else _PARTS.get(parent.tag, ())
@@ -251,7 +254,7 @@ def parse(path: Path) -> ET.Element:
         xacro = xacro or bool(_EXPRESSION.search(ET.tostring(root, encoding="unicode")))
     if xacro:
         name = path.name.split(".")[0]
-        made = f"{name}.urdf" if path.suffix == ".xacro" else f"{name}-expanded.urdf"
+        made = f"{name}{'-expanded' * (path.suffix != '.xacro')}.urdf"
         raise FileError(
             path,
             "it is a xacro file, from which a URDF is made",
@@ -306,6 +309,9 @@ def _arm(tree: Tree, driven: list[Joint], start: int, end: int, notes: list[str]
             f"base: {tree.names[start]} is tilted by {np.degrees(np.arccos(max(upright, -1.0))):.0f} deg in the file; "
             "gravity, floor and targets are taken as if it stood upright, which is right only where the arm itself does"
         )
+    unlike = np.round(model.opt.gravity - GRAVITY, 1), model.jnt_stiffness[joints], model.body_gravcomp
+    if left := ", ".join(compress(("gravity", "springs", "gravcomp"), map(np.any, unlike))):
+        notes.append(f"{left} in the file left out: gravity is taken as downwards, and held by the motors")
     frames = pose_of(poses[bodies, :3, :3], data.xanchor[joints])
     low, high = np.where(model.jnt_limited[joints, None], model.jnt_range[joints], np.nan).T
     mass, com, inertia = zip(*_links(model, data, bodies.tolist(), inverse(frames)), strict=True)
@@ -386,7 +392,7 @@ _UPRIGHT = 1 - 1e-9
 def _root_of(tree: Tree, end: int, notes: list[str]) -> int:
     """First body of the arm to ``end``: an upright root, else the world, or the load of a mobile base.
 
-    A mobile base is two slides or more, and a hinge across them.
+    That is two slides or more, and a hinge across them.
     """
     path, axes = tree.path(end), tree.data.xaxis
     joints = tree.joints_of(path)
@@ -428,8 +434,7 @@ def _longest(tree: Tree, start: int | None, notes: list[str]) -> int:
     others = [place for place in ends if place != end]
     more = f" (beside it are {tree.listed(others)}, which can be named instead)" if others else ""
     notes.append(f"tip: none given; {tree.names[end]} taken, the end of the longest chain{more}")
-    beyond = ", ".join(joint.name for joint in tree.joints_of(behind) if joint.kind == "hinge")
-    if beyond:
+    if beyond := ", ".join(joint.name for joint in tree.joints_of(behind) if joint.kind == "hinge"):
         notes.append(f"tip: {beyond} behind it taken for a gripper's and held; name a tip to drive it")
     return end
 
@@ -452,14 +457,14 @@ def _chains(tree: Tree, start: int | None) -> dict[int, int]:
 
 
 def _passable(tree: Tree, joint: Joint) -> bool:
-    """Whether a chain goes on behind a joint: not behind those of grippers, which lead joints of other branches."""
+    """Whether a chain goes on behind a joint: not behind grippers', which lead joints of other branches."""
     led = [other.body for other in tree.joints if other.leader == joint.name]
     gripper = _GRIPPER.search(joint.name) or any(joint.body not in tree.path(body) for body in led)
     return joint.kind == "held" or (joint.kind in ("hinge", "slide") and not gripper)
 
 
 def _frame(tree: Tree, ends: Iterable[int]) -> int:
-    """Choose the tool's frame of bodies on one link, else the last body before all of them."""
+    """Choose the tool's frame of bodies on one link, else the last body before all."""
     named = {tree.names[body]: body for body in ends}
     tools = [body for name, body in named.items() if _TOOL.search(name)]
     if _FLANGE in named:
