@@ -106,10 +106,11 @@ def write_arm_toml(path: Path, arm: Arm, notes: Sequence[str] = ()) -> None:
     """Write an arm, accurate to 1e-12, below ``notes`` as comments; without targets a last one asks for a rest."""
     lines, posed = [f"# {note}" for note in notes], not np.isnan(arm.targets.lower).any()
     if not posed:
-        zeros = ", ".join(["0"] * arm.joints)
-        lines.append(f"# rest_deg = [{zeros}]  # take away the first #: tool in front, elbow up, no joint near a limit")
-    text = "\n".join([*lines, toml_of(_table(arm, posed))])
-    write_text(path, text)
+        lines.append(
+            f"# rest_deg = [{', '.join(['0'] * arm.joints)}]  # take away the first #: tool in front, elbow up, no "
+            "joint near a limit"
+        )
+    write_text(path, "\n".join([*lines, toml_of(_table(arm, posed))]))
 
 
 def read_draft(path: Path) -> Loaded:
@@ -179,8 +180,7 @@ def _frame(pose: Array) -> dict[str, Array]:
 
 def _chain(joints: list[_JointTable]) -> tuple[Array, Array, Array]:
     """``offset`` (n, 4, 4), ``axis`` (n, 3) and the tip's parent frame (4, 4)."""
-    rows = [(dh.d_m, dh.a_m, dh.alpha_deg, dh.offset_deg) for joint in joints if (dh := joint.dh)]
-    if rows:
+    if rows := [(dh.d_m, dh.a_m, dh.alpha_deg, dh.offset_deg) for joint in joints if (dh := joint.dh)]:
         table = np.array(rows)
         return dh_chain(np.hstack([table[:, :2], np.radians(table[:, 2:])]))
     axes = np.array([joint.axis or (0.0, 0.0, 1.0) for joint in joints])
@@ -226,8 +226,7 @@ def write_urdf(path: Path, arm: Arm, note: str = "") -> None:
             _add(joint, "axis", xyz=arm.axis[i])
             _add(joint, "limit", lower=arm.lower[i], upper=arm.upper[i], velocity=arm.max_speed[i], effort=EFFORT)
     ET.indent(root)
-    text = f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
-    write_text(path, text)
+    write_text(path, f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n')
 
 
 def _add(parent: ET.Element, tag: str, **attributes: str | Array) -> ET.Element:
@@ -311,15 +310,14 @@ def _with_workspace(arm: Arm, derives: bool, notes: list[str]) -> Arm:
 
 
 def _limits(draft: Arm, notes: list[str]) -> tuple[Array, Array]:
-    size = np.where(draft.lower < draft.upper, np.maximum(np.abs(draft.lower), np.abs(draft.upper)), np.nan)
+    size = np.where(draft.lower < draft.upper, np.abs([draft.lower, draft.upper]).max(axis=0), np.nan)
     given = _believed(draft, "limits", size, MOST_TURN, "turns", "+-180 deg", notes)
     return np.where(given, draft.lower, -np.pi), np.where(given, draft.upper, np.pi)
 
 
 def _speeds(draft: Arm, notes: list[str]) -> Array:
     size = np.where(draft.max_speed > 0, draft.max_speed, np.nan)
-    assumed = f"{np.degrees(DEFAULT_SPEED):.0f} deg/s"
-    given = _believed(draft, "speed", size, FASTEST, "turns a second", assumed, notes)
+    given = _believed(draft, "speed", size, FASTEST, "turns a second", f"{np.degrees(DEFAULT_SPEED):.0f} deg/s", notes)
     return np.where(given, draft.max_speed, DEFAULT_SPEED)
 
 
@@ -338,7 +336,7 @@ def _believed(draft: Arm, what: str, size: Array, most: float, unit: str, assume
 
 
 def _listed(values: Array) -> str:
-    return "(" + ", ".join(f"{value:.0f}" for value in values) + ")"
+    return f"({', '.join(f'{value:.0f}' for value in values)})"
 
 
 CATALOGUE = tuple(path.stem for path in sorted(MODELS.glob("*.toml")))

@@ -79,9 +79,7 @@ class JointTrajectory:
             value = share(np.clip(past, 0.0, share.x[-1]), derivative)
             moves = (derivative == 0) | ((past >= 0.0) & (past <= share.x[-1]))
             result += np.where(moves, value, 0.0)[..., None] * move
-        if derivative == 0:
-            result = np.where(moment[..., None] >= self.duration, self.goal, self.start + result)
-        return result
+        return result if derivative else np.where(moment[..., None] >= self.duration, self.goal, self.start + result)
 
 
 def plan(
@@ -123,8 +121,10 @@ def plan(
         share, item = field.passes(start, goal, leaving=True)
         way = np.stack([start, goal]) if share == 1.0 else field.detour(start, goal)
         if way is not None:
-            way = way if motors is None else field.lightest(way, motors)
-            load = 0.0 if motors is None else max(1.0, float(_load(arm, way[None], motors)[0]))
+            load = 0.0
+            if motors:
+                way = field.lightest(way, motors)
+                load = max(1.0, float(_load(arm, way[None], motors)[0]))
             found.append((load, field, way))
             if load <= 1.0:
                 break
@@ -180,8 +180,7 @@ class _Field:
         near = rng.random(_DRAWN) < 0.6
         spread = rng.uniform(0.2, 1.5, (_DRAWN, 1)) * rng.standard_normal(drawn.shape)
         drawn[near] = (begin + rng.random((_DRAWN, 1)) * (goal - begin) + spread)[near]
-        drawn = np.clip(drawn, low, high)
-        way = redundancy.connect(self.body, begin, goal, drawn, self.least)
+        way = redundancy.connect(self.body, begin, goal, np.clip(drawn, low, high), self.least)
         if not len(way):
             return None
         corners = self._shortened(way, rng)
@@ -211,8 +210,7 @@ class _Field:
         if self.passes(start, start)[0] == 1.0:
             return start
         for size in np.repeat([0.1, 0.3, 0.6, 1.0], 60):
-            trial = start + size * rng.standard_normal(self.arm.joints)
-            trial = np.clip(trial, *self.body.inner)
+            trial = np.clip(start + size * rng.standard_normal(self.arm.joints), *self.body.inner)
             if self.passes(start, trial, leaving=True)[0] == 1.0 and self.passes(trial, trial)[0] == 1.0:
                 return trial
         return None
@@ -286,7 +284,7 @@ def _timed(field: _Field, way: Array, limits: Array) -> JointTrajectory:
 
 def _assembled(way: Array, moves: Array, shares: tuple[Any, ...], overlaps: Array) -> JointTrajectory:
     lengths = np.array([share.x[-1] for share in shares])
-    begins = np.concatenate([[0.0], np.cumsum(lengths[:-1] - overlaps)])[: len(moves)]
+    begins = np.append(0.0, np.cumsum(lengths[:-1] - overlaps))[: len(moves)]
     duration = float((begins + lengths).max(initial=0.0))
     return JointTrajectory(duration=duration, start=way[0], goal=way[-1], moves=moves, begins=begins, shares=shares)
 
@@ -299,8 +297,7 @@ def _corner_holds(field: _Field, corner: JointTrajectory, limits: Array) -> bool
     for order in (1, 2, 3):
         if (np.abs(corner.at(time, order)) > limits[order - 1] * (1.0 + 1e-6)).any():
             return False
-    apart = clearances_of(field.arm, field.body.shape, corner.at(time))
-    return bool((apart >= field.least - 1e-7).all())
+    return bool((clearances_of(field.arm, field.body.shape, corner.at(time)) >= field.least - 1e-7).all())
 
 
 def _share(move: Array, limits: Array) -> Any:  # noqa: ANN401 - a PPoly of an untyped library

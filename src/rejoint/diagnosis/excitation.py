@@ -194,9 +194,8 @@ def plan_excitation(arm: Arm, *, seed: int) -> Excitation:
 
 
 def fitted(arm: Arm, plan: Plan, build: Callable[[Plan], Excitation]) -> Excitation:
-    """Motion that ``build`` makes of the plan, slowed for the arm, and with amplitudes that are safe."""
-    why = unsafe(arm, arm.rest)
-    if why:
+    """Motion that ``build`` makes of the plan, slowed for the arm, with safe amplitudes."""
+    if why := unsafe(arm, arm.rest):
         raise InputError(f"arm {arm.name}: its rest posture is not safe to excite it about: {why}; {_REMEDY}")
     plan, where = _slowed(plan, arm), "its beginning"
     for _ in range(_ATTEMPTS):

@@ -1,4 +1,4 @@
-"""Named spans of an excitation, or of logs of any motion; ten targets open loop, and other rest.
+"""Named spans of an excitation, or of any logs; ten targets open loop, and other rest.
 
 Logs share one clock; spans hold only rows of the free arm (`rejoint.logs.exclusions`). Ten targets: tool errors at rest
 (Park et al. 2024, Figs. 8 and 9).
@@ -230,7 +230,7 @@ def _steps(log: RunLog, free: Mask, still: Mask, joint: int) -> Iterator[tuple[i
     for arrived, last in free_runs(still, log.time, QUIET):
         first = int(np.searchsorted(log.time, log.time[arrived] - STEP_TIME))
         moved = np.abs(np.diff(log.command[first : arrived + 1, joint]))
-        if moved.sum() < STEP_SIZE or abs(log.command[arrived, joint] - log.command[first, joint]) < STEP_SIZE:
+        if abs(log.command[arrived, joint] - log.command[first, joint]) < STEP_SIZE:
             continue
         first += int(np.argmax(moved > _SAME))
         last = min(last, int(np.searchsorted(log.time, log.time[first] + STEP_LENGTH)))

@@ -168,17 +168,18 @@ def find(
                 continue
             tcp = 1e3 * float(told[0])
             cost = f"{tcp:.1f} mm at the tool." if tcp >= FELT_MM else "nothing that the tip of the tool feels."
-            one = Finding(
-                joint=row.joint,
-                kind=kind,
-                severity="bad" if tcp >= bad else "worn",
-                quantity=quantity,
-                measured=getattr(row, quantity, None) or mean_of(case.errors),
-                healthy=getattr(case.healthy, quantity, None),
-                tcp_mm=tcp,
-                sentence=f"{row.joint} {told[1]} {cost}",
+            found.append(
+                Finding(
+                    joint=row.joint,
+                    kind=kind,
+                    severity="bad" if tcp >= bad else "worn",
+                    quantity=quantity,
+                    measured=getattr(row, quantity, None) or mean_of(case.errors),
+                    healthy=getattr(case.healthy, quantity, None),
+                    tcp_mm=tcp,
+                    sentence=f"{row.joint} {told[1]} {cost}",
+                )
             )
-            found.append(one)
     return tuple(sorted(found, key=lambda f: (f.severity != "bad", -f.tcp_mm)))
 
 
@@ -235,7 +236,7 @@ def hysteresis(case: _Case) -> Found:
 
 def play_in_loop(case: _Case) -> Found:
     """Report a joint that does not come to rest."""
-    if not case.hunts or (case.healthy is not None and not case.beyond("hunting_rad")):
+    if not case.hunts or (case.healthy and not case.beyond("hunting_rad")):
         return None
     swing = 2**0.5 * case.value("hunting_rad")
     return case.lever * swing, (
@@ -317,15 +318,15 @@ RULES: dict[str, tuple[str, str, Callable[[_Case], Found]]] = {
     "offset": ("offset_rad", "beside its commands everywhere", offset),
     "noise": ("noise_rad", "restless in its readings", noise),
 }
-"""By the kind of finding: judged quantity, what it makes of a joint, and rule for one joint"""
+"""By kind of finding: judged quantity, what it makes of a joint, and rule"""
 SEEMING = ("lag", "offset", "torque_limit")
-"""Kinds that do not stand beside a joint that does not follow: it seems to show them, or says them"""
+"""Kinds not named of a joint that does not follow: it seems to show them, or says them"""
 
 
 def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:
     """Return the common delay beyond the reference: bus or firmware, not wear."""
     if healthy is None:
         return 0.0
-    pairs = [(row.lag_s, good.lag_s) for row, good in zip(measurement.joints, healthy.joints, strict=True)]
-    excess = [late.value - usual.value for late, usual in pairs if late is not None and usual is not None]
+    rows = zip(measurement.joints, healthy.joints, strict=True)
+    excess = [late.value - usual.value for row, good in rows if (late := row.lag_s) and (usual := good.lag_s)]
     return max(float(np.median(excess)), 0.0) if excess else 0.0

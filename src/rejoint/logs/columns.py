@@ -69,9 +69,9 @@ def turn_bits(values: Array) -> int | None:
 
 
 def unit_by_steps(raw: Array) -> tuple[str | None, str]:
-    """Return unit of LeRobot's readings (T, n) by their steps, and why.
+    """Tell the unit of LeRobot's readings (T, n) by their steps, and why.
 
-    LeRobot counts 4095 steps per turn, others 4096.
+    LeRobot counts 4095 per turn, others 4096.
     """
     turn = 360.0 / (COUNTS_PER_TURN - np.arange(2))
     joints = [(grid_shares(values, turn).max(), _normalised_step(values)) for values in readings(raw, 4)]
@@ -279,7 +279,7 @@ class Column(NamedTuple):
 
 
 def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: Path, kind: str) -> RecordedMotion:
-    """Make a motion of the joints of ``arm`` of columns.
+    """Read the joints of ``arm`` from columns.
 
     ``source`` and ``kind`` are its file and format. FileError for missing or double columns, or no unit; InputError for
     a wrong map.
@@ -442,7 +442,7 @@ class _GroupedColumns:
         return self._read(times)[:, 0] / TIME_UNITS[self._unit(times[0])]
 
     def _columns(self, group: str) -> list[Column]:
-        """Columns of a group: of the joints in the arm's order, or of x, y and z."""
+        """Columns of a group: the joints' in the arm's order, or x, y and z."""
         columns = self.of(group)
         names = [column.name for column in columns]
         if group in POINTS:
@@ -483,7 +483,7 @@ class _GroupedColumns:
         return raw * factors, columns, units
 
     def half_ranges(self) -> Array | None:
-        """Half ranges (n,) [rad] of normalised values, by the calibration, or by the steps of the readings."""
+        """Half ranges (n,) [rad] of normalised values, by the calibration, or the readings' steps."""
         if self.options.angle_unit != "normalised":
             return None
         if self.options.calibration is not None:

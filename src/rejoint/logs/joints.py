@@ -1,4 +1,4 @@
-"""Which joint a name in a foreign file means, by the user's declarations and by LeRobot's calibration.
+"""Which joint a foreign name means, by the user's declarations and LeRobot's calibration.
 
 Feetech servos report the raw position minus ``homing_offset`` [counts]; Dynamixel servos have the other sign.
 """
@@ -39,7 +39,7 @@ def read_linear(text: str, known: Collection[str]) -> tuple[str, float, float]:
     found = _LINEAR.fullmatch(text)
     if text in known or found is None:
         return text, 1.0, 0.0
-    scale = float(found["scale"] or 1.0) * (-1.0 if found["sign"] == "-" else 1.0)
+    scale = float(found["sign"] + (found["scale"] or "1"))
     factor = float(found["factor"] or 1.0)
     if not scale or not factor:
         raise InputError(f"--map: {text!r} has a scale of 0")
@@ -157,16 +157,15 @@ def joint_of(name: str, arm: Arm) -> str | None:
 
 
 def match_joints(names: Sequence[str], arm: Arm, path: Path, what: str, titles: Sequence[str] | None = None) -> Match:
-    """Find every joint of the arm exactly once in a file: by `joint_of`, behind a prefix, or by numbers from 0 or 1.
+    """Find every joint once in a file: by `joint_of`, behind a prefix, or by numbers from 0 or 1.
 
     ``titles`` are full column names. FileError.
     """
-    titles = names if titles is None else titles
+    titles = titles or names
     joints = [joint_of(name, arm) for name in names]
     if not any(joints):  # with a prefix: main_elbow_flex
         joints = [joint_of(re.split("[_/]", name, maxsplit=1)[-1], arm) for name in names]
-    numbered = not any(joints)
-    if numbered:
+    if numbered := not any(joints):
         joints = _numbers(names, arm)
     for joint in arm.joint_names:
         twice = [title for title, meaning in zip(titles, joints, strict=True) if meaning == joint]

@@ -228,7 +228,7 @@ def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: in
         residuals = problem.residuals(candidates)
         best = np.argmin(loss(residuals).sum(axis=(1, 2)))
         weights = problem.weights(residuals[best])
-        x, _, _ = line_up(problem, candidates, residuals, weights)
+        x = line_up(problem, candidates, residuals, weights)[0]
         count, layout = len(starts) - 1, problem.layout
         chosen = layout.fitted(rng.choice([0.0, 1.0], size=(count, layout.is_fitted.sum())))
         spread = np.where(problem.frozen, 0.0, prior.sigma) * 0.5**i * chosen
@@ -339,9 +339,8 @@ def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
     ones = np.ones(len(x))
     up, down = problem.inward(x, ones), problem.inward(x, -ones)
     residuals = problem.residuals(np.vstack([x, problem.perturbations(x, up), problem.perturbations(x, down)]))
-    base, count = residuals[0], (len(residuals) - 1) // 2
-    forward = problem.jacobian(base, residuals[1 : 1 + count], up)
-    backward = problem.jacobian(base, residuals[1 + count :], down)
+    base, moved = residuals[0], np.split(residuals[1:], 2)
+    forward, backward = map(problem.jacobian, (base, base), moved, (up, down))
     central = 0.5 * (forward + backward)
     shown = limiting(problem, x)
     lost = central[..., TORQUE_LIMIT] - np.where(shown, forward[..., TORQUE_LIMIT], 0.0)

@@ -185,8 +185,7 @@ def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motion
         return np.array([own.tcp for motion in found if (own := motion.errors[name].free)])
 
     command, *twins = (errors(motions, name) for name in motions[0].errors)
-    delayed = errors(late, "")
-    for name, without in (("the command", command), (f"the command {lag:.2f} s later", delayed)):
+    for name, without in (("the command", command), (f"the command {lag:.2f} s later", errors(late, ""))):
         if not any(smaller(twin, without) for twin in twins):
             found.append(f"no twin predicts measurably better than {name} does")
             break

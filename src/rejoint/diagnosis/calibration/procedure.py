@@ -94,7 +94,7 @@ class Suggestion:
 
 
 def before(posture: Array, visit: int) -> Array:
-    """Where visit number ``visit`` comes to a ``posture`` (n,) [rad] from: from below and from above, in turn."""
+    """Where visit number ``visit`` comes to a ``posture`` (n,) [rad] from: below and above in turn."""
     return posture - BEFORE * (-1.0) ** visit
 
 
@@ -399,7 +399,7 @@ TRIES = 3
 
 @contextmanager
 def kept(file: Path | None, *, fresh: bool, more: str = "") -> Iterator[None]:
-    """Add to an error that what was measured until then is in ``file``, and what goes on there."""
+    """Add to an error that what was measured is in ``file``, and what goes on there."""
     try:
         yield
     except BaseException as error:

@@ -34,7 +34,7 @@ CYCLES = 5
 SIDES = ("below", "above")
 
 CHECK = Plan(sweep_speeds=(0.12,), sweep_cycles=(2,), hold_dwell=0.8)
-"""Slow sweeps, and approaches to poses, as those of a diagnosis; chosen: a worn joint rests after half of the time"""
+"""Slow sweeps, and approaches to poses, as in a diagnosis; chosen: a worn joint rests after half the time"""
 
 
 def plan_check(arm: Arm) -> Excitation:
