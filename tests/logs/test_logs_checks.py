@@ -29,20 +29,16 @@ def motion(found: Sample, unit: str = "rad") -> RecordedMotion:
     )
 
 
-def check(found: Sample) -> tuple[RunLog, str]:
-    log, notes = to_log(motion(found), ARM)
-    return log, " | ".join(notes)
-
-
 GOOD = sample(rows=200)
 
 
-def changed(**arrays: Array) -> Sample:
-    return replace(GOOD, **arrays)
+def check(**changed: Array) -> tuple[RunLog, str]:
+    log, notes = to_log(motion(replace(GOOD, **changed)), ARM)
+    return log, " | ".join(notes)
 
 
 def test_a_clean_log_has_no_notes():
-    log, notes = check(GOOD)
+    log, notes = check()
     assert notes == ""
     assert log.position.tolist() == GOOD.position.tolist()
 
@@ -50,7 +46,7 @@ def test_a_clean_log_has_no_notes():
 def test_doubled_stamps_are_left_out_and_told():
     time = GOOD.time.copy()
     time[[7, 8, 100]] = time[[6, 6, 99]]
-    log, _ = check(changed(time=time))
+    log, _ = check(time=time)
     assert log.position.tolist() == np.delete(GOOD.position, [7, 8, 100], axis=0).tolist()
 
 
@@ -69,11 +65,11 @@ RATE = r"one sample in .* s, expected 1 to 10000 Hz; set the time unit"
 )
 def test_what_no_arm_did_is_refused(wrong: dict[str, Array], said: str):
     with pytest.raises(FileError, match=said):
-        check(changed(**wrong))
+        check(**wrong)
 
 
 def test_joints_outside_their_limits():
     position = GOOD.position.copy()
     position[:, 1] += 1.4 * np.exp(-(((np.arange(200) - 30) / 12) ** 2))
     outside = (position[:, 1] > ARM.upper[1]).sum()
-    assert f"beyond the limits of joint shoulder_lift in {outside} samples" in check(changed(position=position))[1]
+    assert f"beyond the limits of joint shoulder_lift in {outside} samples" in check(position=position)[1]

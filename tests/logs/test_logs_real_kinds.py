@@ -87,8 +87,7 @@ def test_corrupt_numbers_cut_a_log_and_a_doubted_one_is_skipped(tmp_path):
         names |= {f"{group}.{joint}_rad": values[:, k] for k, joint in enumerate(ARM.joint_names)}
     bad = FOUND.position[:, 2].copy()
     bad[200] = -9.48e297
-    columns(tmp_path / "in/a.csv", names | {"position.elbow_flex_rad": bad})
-    cut = tmp_path / "in/a.csv"
+    cut = columns(tmp_path / "in/a.csv", names | {"position.elbow_flex_rad": bad})
     lines = cut.read_text().splitlines()
     lines[301] = f"{lines[301].rpartition(',')[0]},#REF!"
     lines[351] = lines[351][:30]
