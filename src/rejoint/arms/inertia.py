@@ -182,12 +182,11 @@ def loaded(arm: Arm, payload: Payload | float | None = None, tool: ArrayLike | N
     load = payload if isinstance(payload, Payload) else Payload(mass=0.0 if payload is None else payload)
     if tool is None and load.mass == 0.0:
         return arm
-    whole, places = arm.mass.sum(), f"x, y, z of at most {LONGEST_TOOL:g} m"
-    if load.mass > whole:
+    if load.mass > (whole := arm.mass.sum()):
         raise InputError(f"payload: {load.mass:g} kg, expected 0 to the {whole:.2g} kg of the arm itself")
-    com = as_place("payload: the centre of mass", load.com, places, most=LONGEST_TOOL)
+    com = as_place("payload: the centre of mass", load.com, most=LONGEST_TOOL)
     tip = arm.tip.copy()
-    tip[:3, 3] += tip[:3, :3] @ as_place("tool", np.zeros(3) if tool is None else tool, places, most=LONGEST_TOOL)
+    tip[:3, 3] += tip[:3, :3] @ as_place("tool", np.zeros(3) if tool is None else tool, most=LONGEST_TOOL)
     place = arm.tip[:3, 3] + arm.tip[:3, :3] @ com
     return LoadedArm(**vars(arm) | {"bare": bare(arm), "tip": tip} | heavier(arm, load.mass, place))
 

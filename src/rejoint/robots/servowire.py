@@ -26,7 +26,7 @@ def judge(result: int, servo: int) -> None:
         raise TimeoutError(f"servo {servo} does not answer")
     if result in UNSENT:
         raise OSError("the port did not take the request")
-    raise ValueError(f"the answer of servo {servo} is garbled")
+    raise ValueError(f"the answer of servo {servo} is garbled; have two servos this ID?")
 
 
 class ServoWire(ABC):

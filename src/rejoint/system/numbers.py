@@ -73,11 +73,9 @@ def as_place(
 ) -> NDArray[np.float64]:
     """Return a point (3,) [m], or points of so many ``axes``; InputError for anything else, and for millimetres."""
     place = as_floats(what, given, expected)
-    if place.ndim not in axes or place.shape[-1] != 3 or not np.isfinite(place).all():
-        raise InputError(f"{what}: expected {expected}, got {repr(given)[:80]}")
-    if np.abs(place).max(initial=0.0) > most:
-        raise InputError(f"{what}: expected {expected}, got {repr(given)[:80]}; that looks like millimetres")
-    return place
+    if place.ndim in axes and place.shape[-1] == 3 and np.isfinite(place).all() and np.all(np.abs(place) <= most):
+        return place
+    raise InputError(f"{what}: expected {expected}, of at most {most:g} m (not millimetres), got {repr(given)[:80]}")
 
 
 def as_floats(what: str, given: object, expected: str = "numbers") -> NDArray[np.float64]:

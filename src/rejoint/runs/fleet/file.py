@@ -209,6 +209,8 @@ def named_arm(name: str) -> FleetArm | None:
 def name_arm(name: str, **values: str | float) -> Path:
     """Write an arm into `names_file`, which stays as it was otherwise; FileError where it cannot be one."""
     path = names_file()
+    if known := named_arm(name):
+        raise InputError(f"{name} is the name of {known.address}; to free it: rejoint arms remove {name}")
     before = path.read_text(encoding="utf-8") if path.exists() else ""
     document = tomlkit.parse(before)
     document.setdefault("arm", tomlkit.aot()).append({"name": name, **values})
