@@ -64,7 +64,7 @@ def test_what_was_typed_is_not_asked_for_again(run, caplog):
 
     found = calibrate(run, hand := Hand())
     assert hand.asked == [4, 5, 6]  # what was left out stays out
-    assert "3 of 6 postures are done" in caplog.text
+    assert "3 of 6 measurements are done" in caplog.text
     np.testing.assert_array_equal(found.measurements.point[:2], kept.point)
     assert found.calibration.points == len(found.measurements) == TOTAL - 1
     assert np.unique(found.measurements.posture, return_counts=True)[1].tolist().count(2) == COUNT - 1

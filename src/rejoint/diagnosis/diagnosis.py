@@ -1,5 +1,6 @@
 """The diagnosis of an arm: measurements, findings and a verdict, from its excitation or from logs of any motion."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -183,7 +184,7 @@ def diagnose_logs(
     told = _by_effort(measurement, grown)
     if not bare:
         told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(arm, measurement, rest, healthy))
-    silent = {joint: log.label for log in logs for joint in unpowered_joints(log)}
+    silent = Counter(joint for log in logs for joint in unpowered_joints(log))
     doubt = data.log.extra.get(ZEROS) or sag_doubt(data)
     return Diagnosis(
         arm=arm.name,
@@ -192,7 +193,10 @@ def diagnose_logs(
         verdict=f"{_resting(evidence, healthy, [*silent])}{told} {doubt and f'But {doubt}. '}{_motions(evidence)}",
         findings=findings,
         unseen=(
-            *(f"{joint} does not answer in {label}: unpowered, too weak or stuck." for joint, label in silent.items()),
+            *(
+                f"{joint} does not answer in {n} of {len(logs)} logs: unpowered, too weak or stuck."
+                for joint, n in silent.items()
+            ),
             *((BARE,) if bare else (*_untold(measurement), LAG_ALONE)),
             BEHIND,
             *(f"{remark}." for remark in remarks_on(logs)),

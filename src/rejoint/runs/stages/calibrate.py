@@ -76,7 +76,7 @@ def _measured(
                 "rejoint calibrate ROBOT RUN --fresh"
             )
         else:
-            log_resumed(file, f"{session.answered} of {len(plan.posture)} postures are done")
+            log_resumed(file, f"{session.answered} of {len(plan.posture)} measurements are done")
     again = ["--fresh"] * session.fresh
     fits = command("calibrate", robot.address, run and run.path, "--measure", f"points={file}", *again)
     with kept(file, fresh=session.fresh, more=f", and this fits it: {fits}"):
