@@ -155,10 +155,8 @@ class CameraGauge:
         if folder is not None and pictures is not None and not fresh and _unfitted(folder):
             film = read_folder(str(pictures), drive.robot.arm, self.board, self.carried)
             log_resumed(pictures / POSTURES, f"{len(film.usable)} pictures are there")
-        elif pictures is not None:
-            set_aside(pictures)
         arm, detector = drive.robot.arm, Detector(self.board)
-        with kept(pictures, fresh=fresh), self.camera(drive.robot) as camera:
+        with kept(lambda: pictures if film.shots else None, fresh=fresh), self.camera(drive.robot) as camera:
 
             def shoot(number: int, posture: Array, place: int) -> None:
                 nonlocal film
@@ -174,6 +172,8 @@ class CameraGauge:
                 shot = Shot(position=position, posture=place, seen=seen)
                 film = film.with_shot(shot, picture.shape[::-1])
                 if pictures is not None:
+                    if len(film.shots) == 1:
+                        set_aside(pictures)
                     write_postures(pictures / POSTURES, arm, film)
                     write_bytes(pictures / name, cv2.imencode(".png", picture)[1].tobytes())
                 if number == 1 and seen.why:

@@ -398,12 +398,12 @@ TRIES = 3
 
 
 @contextmanager
-def kept(file: Path | None, *, fresh: bool, more: str = "") -> Iterator[None]:
-    """Add to an error that what was measured is in ``file``, and what goes on there."""
+def kept(measured: Callable[[], Path | None], *, fresh: bool, more: str = "") -> Iterator[None]:
+    """Add to an error in which file there is what was ``measured``, and what goes on there."""
     try:
         yield
     except BaseException as error:
-        if file is not None and file.exists():
+        if file := measured():
             same = f"the same command{' without --fresh' * fresh} goes on there"
             error.add_note(f"What was measured until then is kept ({file}); {same}{more}")
         raise

@@ -36,6 +36,7 @@ from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Settings, as_cal
 from rejoint.session.session import ArmSession
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import saving, set_aside
+from rejoint.system.numbers import as_whole
 from rejoint.system.progress import Progress, part
 from rejoint.system.records import Readable, as_options, entity
 from rejoint.system.shell import command
@@ -66,24 +67,22 @@ def _measured(
             raise
     prior = None if session.fresh else prior
     plan = suggest(robot.arm, count * visits, visits=visits, sigma=gauge.sigma, prior=prior)
-    if file is not None:
-        if found is None:
-            set_aside(file)
-        elif (session.plan, found.source, found.frame) != (plan.digest, gauge.source, gauge.frame):
+    if file is not None and found is not None:
+        if (session.plan, found.source, found.frame) != (plan.digest, gauge.source, gauge.frame):
             raise InputError(
                 f"{file}: an interrupted session with another number of postures or sides, by something "
                 "else, or with another --noise or --frame; give the same again, or begin again: "
                 "rejoint calibrate ROBOT RUN --fresh"
             )
-        else:
-            log_resumed(file, f"{session.answered} of {len(plan.posture)} measurements are done")
+        log_resumed(file, f"{session.answered} of {len(plan.posture)} measurements are done")
     again = ["--fresh"] * session.fresh
     fits = command("calibrate", robot.address, run and run.path, "--measure", f"points={file}", *again)
-    with kept(file, fresh=session.fresh, more=f", and this fits it: {fits}"):
+    with kept(lambda: file if found else None, fresh=session.fresh, more=f", and this fits it: {fits}"):
         for measured, answered in measure(drive, gauge, plan, found, session.answered, on_progress):
+            if file and measured is not None:
+                place = file if found else set_aside(file)
+                write_measurements(place, robot.arm, measured, replace(session, plan=plan.digest, answered=answered))
             found = measured
-            if file and found is not None:
-                write_measurements(file, robot.arm, found, replace(session, plan=plan.digest, answered=answered))
         drive.rest()
         if found is None:
             raise InputError("calibration: nothing was measured; type x, y and z of the tool at each stop")
@@ -178,7 +177,7 @@ def calibrate(
     >>> found = rejoint.calibrate("emulated:worn")
     >>> print(found.before, found.after, found.calibration.used)  # metres
     """
-    chosen = as_options(settings, Settings)
+    chosen, count = as_options(settings, Settings), None if count is None else as_whole("count", count, 1)
     known = isinstance(gauge, Measurements | Path | str) or hasattr(gauge, "shots")
     before = cast("Measurements | Film | Path | str", gauge) if known else None
     if (robot is None) == (before is None):
