@@ -189,10 +189,13 @@ class Contents:
         return steps
 
     @property
-    def controllers(self) -> list[str]:
-        """Option that names the controllers, where some of the usual ones were not compared."""
-        tried = BASELINES if self.comparison is None else self.comparison.controllers
-        return [] if {*BASELINES} <= {*tried} else ["--controllers", ",".join(tried)]
+    def trials(self) -> list[object]:
+        """Options that name the size of the comparison, and its controllers where not all of the usual."""
+        if self.comparison is None:
+            return []
+        (sets, repetitions, _), tried = self.comparison.shape, self.comparison.controllers
+        few = [] if {*BASELINES} <= {*tried} else ["--controllers", ",".join(tried)]
+        return [*few, "--sets", sets, "--repetitions", repetitions]
 
     def commands(self) -> dict[str, str]:
         """Command lines of every stage."""
@@ -201,6 +204,7 @@ class Contents:
         known = described(self.folder, self.info)
         options = [*known, *self.settings.options(), "--seed", self.info.seed, *quick]
         seen = self.calibration is not None and self.calibration.source == "camera"
+        recipe = ["--preset", self.policy.contract.preset] if self.policy else []
         gauge = ["--measure", "camera" if seen else "touch"] if seen or not is_virtual(robot) else []
         diagnose: tuple[object, ...] = (robot, "--run", run, *options)
         identify: tuple[object, ...] = (run,)
@@ -208,12 +212,12 @@ class Contents:
             diagnose = identify = ("--logs", robot.removeprefix(LOGS), *known, "--run", run)
             robot = "ROBOT"
         return {
-            "repair": command("repair", robot, *options, *self.controllers),
+            "repair": command("repair", robot, *options, *self.trials),
             "diagnose": command("diagnose", *diagnose),
             "identify": command("identify", *identify),
-            "train": command("train", run, *quick),
+            "train": command("train", run, *recipe, *quick),
             "calibrate": command("calibrate", robot, run, *gauge),
-            "compare": command("compare", robot, run, *self.controllers),
+            "compare": command("compare", robot, run, *self.trials),
             "report": command("report", run),
         }
 
