@@ -108,7 +108,7 @@ def _criteria(comparison: Comparison) -> Iterator[_Criterion]:
         )
     for within in (narrow, *wider):
         yield _Criterion(
-            name=f"to stay within {1e3 * protocol.within[within]:g} mm",
+            name=f"on average to stay within {1e3 * protocol.within[within]:g} mm (a miss as {protocol.hold:g} s)",
             results=results(protocol.stay_names[within], protocol.hold),
             unit="{:.2f} s",
             matters=0.0 if within == narrow else SOONER,
