@@ -167,9 +167,15 @@ class RunFolder:
 
 
 def runs_below(folder: Path) -> list[Path]:
-    """Files run.json in a folder and below it, the newest first."""
+    """Files run.json in a folder and below it, the newest first, then those that cannot be read."""
+
+    def begun(path: Path) -> str:
+        with suppress(FileError):
+            return read_info(path).created
+        return ""
+
     paths = [path for depth in ("", "*/", "*/*/") for path in folder.glob(f"{depth}run.json")]
-    return sorted(paths, key=lambda path: path.stat().st_mtime, reverse=True)
+    return sorted(paths, key=begun, reverse=True)
 
 
 def read_info(path: Path) -> RunInfo:
