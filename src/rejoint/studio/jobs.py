@@ -153,11 +153,12 @@ def left(studio: Studio) -> str:
     if not status.busy or status.question:
         return ""
     elapsed, share, usual, later = time.monotonic() - status.began, status.share, 0.0, 0.0
+    pace = 0.2 if is_virtual(status.address) else 1.0
     if stage is not None and status.run is not None and status.arm is not None:
         planned = list(stages_of(status.address, status.arm, RunFolder(status.run)))
         coming = planned[planned.index(stage.name) + 1 :]
-        share, usual = stage.total * share - (stage.number - 1), EXPECTED.get(stage.name, 0.0)
-        later = (0.2 if is_virtual(status.address) else 1.0) * sum(EXPECTED[name] for name in coming)
+        share, usual = stage.total * share - (stage.number - 1), pace * EXPECTED.get(stage.name, 0.0)
+        later = pace * sum(EXPECTED[name] for name in coming)
     now = elapsed * (1.0 - share) / share if share > EARLY else max(usual - elapsed, 0.0)
     seconds = now + later
     about = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
@@ -198,7 +199,7 @@ def calibrate(studio: Studio, by: str, count: float, board: str, camera: float) 
         emulated = is_virtual(studio.status.address)
         drawn = ON_TOOL if emulated and not Path(board).exists() else read_board(Path(board))
         gauge = replace(camera_gauge(None if emulated else int(camera), drawn), show=partial(show, studio))
-    found = studio.call(rejoint.calibrate, run=run, gauge=gauge, count=max(int(count), 2))
+    found = studio.call(rejoint.calibrate, run=run, gauge=gauge, count=int(count))
     helps = "It is used from now on" if found.calibration.used else "It does not clearly help and is not used"
     seen = f"{1e3 * found.before:.1f} mm from where the encoders see it"
     known = f"{1e3 * found.after:.1f} mm from where the calibration does"
@@ -264,7 +265,7 @@ def play(studio: Studio, points: Sequence[Array], repeat: float) -> None:
         raise InputError("a path needs two points; add the places where the tool is to go")
     legs = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     path = np.column_stack([np.append(0.0, np.cumsum(legs / SPEED + 0.2)), points])
-    _followed(studio, path, max(int(repeat), 1))
+    _followed(studio, path, int(repeat))
 
 
 def play_file(studio: Studio, content: bytes) -> None:
