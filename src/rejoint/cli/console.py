@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from io import StringIO
 from pathlib import Path
 from queue import Empty, Queue
 from threading import Thread
@@ -41,7 +42,7 @@ class _OutputFile:
     """
 
     def __init__(self, file: TextIO, *, lossy: bool = False) -> None:
-        self._file, self._lossy = file, lossy
+        self._file, self._lossy = file or StringIO(), lossy  # None: it was closed
 
     def write(self, text: str) -> int:
         """Write ``text``."""

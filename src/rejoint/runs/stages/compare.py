@@ -165,7 +165,7 @@ class ComparisonJob:
             found = self._drive(ledger, on_progress, helper)
         except BaseException as error:
             if ledger.done:
-                error.add_note(f"What was tried is kept ({len(ledger.done)} runs): the same command goes on.")
+                error.add_note(f"What was tried is kept (runs: {len(ledger.done)}): the same command goes on.")
             raise
         with saving(found):
             write_json(set_aside(run.folder.comparison), found.comparison)
