@@ -241,6 +241,8 @@ class RunLog:
                 f"run log {self.label} has joints {', '.join(self.joint_names)}, expected {', '.join(arm.joint_names)}"
                 "; import it again"
             )
+        if not len(self):
+            raise InputError(f"run log {self.label} has no rows; leave it out")
         if self.period > LONGEST_PERIOD:
             raise InputError(f"run log {self.label}: its rows are {self.period:.4g} s apart; give times in seconds")
         for what, values in (("position", self.position), ("command", self.command)):

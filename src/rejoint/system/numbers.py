@@ -73,7 +73,13 @@ def as_place(
 ) -> NDArray[np.float64]:
     """Return a point (3,) [m], or points of so many ``axes``; InputError for anything else, and for millimetres."""
     place = as_floats(what, given, expected)
-    if place.ndim in axes and place.shape[-1] == 3 and np.isfinite(place).all() and np.all(np.abs(place) <= most):
+    if (
+        place.size
+        and place.ndim in axes
+        and place.shape[-1] == 3
+        and np.isfinite(place).all()
+        and np.all(np.abs(place) <= most)
+    ):
         return place
     raise InputError(f"{what}: expected {expected}, of at most {most:g} m (not millimetres), got {repr(given)[:80]}")
 
