@@ -59,7 +59,7 @@ RunLike: TypeAlias = "Run | Path | str"
 Targets: TypeAlias = "ArrayLike | Sequence[Pose] | Path"
 """(K, 3) or (S, K, 3) [m], poses, or a CSV file in millimetres"""
 
-EyeLike: TypeAlias = "Eye | Callable[[Robot], Eye] | str"
+EyeLike: TypeAlias = "Eye | Callable[[Robot], Eye] | str | int"
 """An eye, its factory, the number of a camera, or ``emulated``"""
 
 Period: TypeAlias = "tuple[float, float]"

@@ -175,9 +175,9 @@ def opened_eye(given: EyeLike | None, robot: Robot, run: Run | None, seed: int) 
         yield None
     elif given == "emulated":
         yield simulated(robot).eye(seed)
-    elif not isinstance(given, str):
+    elif not isinstance(given, str | int):
         yield given if hasattr(given, "sighting") else given(robot)
-    elif given.isdecimal():
+    elif str(given).isdecimal():
         if np.isfinite(robot.true_tcp()).all():
             raise InputError(f"camera {given} cannot see {robot.address}; watch an emulated arm with --camera emulated")
         from rejoint.camera.tracker import opened_camera

@@ -302,7 +302,7 @@ def compare(
         robot or its address
     controllers
         baselines (``default``, ``integrator``, ``feedforward``), ``shelf``, ``predictive``, policies, their files, or
-        your own; a mapping names them. Default: baselines, ``shelf`` (a real arm: only without a policy), the run's
+        your own; a mapping names them. If empty: baselines, ``shelf`` (a real arm: only without a policy), the run's
         policy, with a twin ``predictive``; after a search for servo gains these two under the gains found, and
         ``servo-gains``
     targets
