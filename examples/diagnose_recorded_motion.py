@@ -19,7 +19,7 @@ state, rest = robot.read(), robot.arm.rest
 time, command, position = [], [], []
 while state.time[0] < chosen.seconds:
     t = state.time[0]
-    swing = np.sin(2 * np.pi * t / np.array([11.0, 13.0, 17.0, 7.0, 9.0, 5.0]))  # each joint at its own pace
+    swing = np.sin(2 * np.pi * t / np.resize([11, 13, 17, 7, 9, 5], rest.size))  # each joint at its own pace
     goal = rest + 0.25 * swing * min(t / 3.0, 1.0)
     time.append(t)
     position.append(state.position[0])
