@@ -18,7 +18,6 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Displacement, Motors, load_arm, tcp_position
 from rejoint.arms.inertia import LoadedArm
-from rejoint.arms.postures import too_heavy
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.controllers.posture import PostureController, PostureGains
@@ -514,13 +513,14 @@ class ArmDriver:
 
     def say_heavy(self, targets: Array, postures: Array, motors: Motors | None) -> None:
         """Report ``targets`` (K, 3) [m] whose ``postures`` (K, n) [rad] the ``motors`` may not lift."""
-        if motors is None or not isinstance(self.arm, LoadedArm):
+        if motors is None:
             return
         judged = zip(targets, heavy(self.arm, postures, motors), strict=True)
         if found := [f"{in_mm(place)}: {why}" for place, why in judged if why]:
             more = f", and {len(found) - NAMED} more" if len(found) > NAMED else ""
             self.observer.message(
-                f"Too heavy by the twin: {'; '.join(found[:NAMED])}{more}. The arm tries, but may not come there."
+                f"Too heavy by the twin: {'; '.join(found[:NAMED])}{more}. The arm tries, but may not come there, "
+                "and not leave."
             )
 
     def say_noticed(self, log: RunLog | None) -> None:
@@ -616,10 +616,10 @@ class ArmDriver:
         self.drive(controller, Schedule(dwell=timeout, give_up=look), reference)
         if not (reached or motion.ended.is_set()):
             advice = "Give it more time or room, or look whether something is in its way"
-            joint, why = (None, "") if motors is None else too_heavy(arm, here, motors.most)
+            if motors and (why := heavy(arm, here[None], motors)[0]):
+                advice = f"Its load may be too heavy there: {why}"
             raise NotReachedError(
-                f"the arm did not come within {wanted} of {motion.goal}, still {left} off; it holds. "
-                f"{lags}. {advice if joint is None else f'Its load is too heavy there: {why}'}"
+                f"the arm did not come within {wanted} of {motion.goal}, still {left} off; it holds. {lags}. {advice}"
             )
 
     def go(self, posture: Array, give_up: Callable[[ControlInput], bool]) -> None:

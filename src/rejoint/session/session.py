@@ -186,7 +186,7 @@ class ArmSession(ArmDriver):
             if why:
                 number = f" {k + 1}" if len(targets) > 1 else ""
                 raise InputError(f"target{number} {in_mm(targets[k])}: {why}")
-        self.say_heavy(targets, found.q, motors)
+        self.say_heavy(np.vstack([tcp_position(self.arm, start), targets]), np.vstack([start, found.q]), motors)
         return with_ways(self.arm, found.q, start, motors=motors)
 
     def move_joints(
