@@ -35,7 +35,7 @@ def test_a_payload_may_be_any_number():
     masses = [loaded(mycobot280(), kilograms).mass for kilograms in (0.25, np.float32(0.25), np.float64(0.25))]
     np.testing.assert_array_equal(masses[0], masses[1])
     np.testing.assert_array_equal(masses[0], masses[2])
-    with pytest.raises(InputError, match=r"tool: expected x, y, z of at most 0.5 m, found text"):
+    with pytest.raises(InputError, match=r"tool: expected a point \(3,\) in metres, found text"):
         loaded(mycobot280(), tool=["0", "0", "0.1"])
 
 

@@ -175,7 +175,7 @@ def runs_below(folder: Path) -> list[Path]:
         return ""
 
     paths = [path for depth in ("", "*/", "*/*/") for path in folder.glob(f"{depth}run.json")]
-    return sorted(paths, key=begun, reverse=True)
+    return sorted(paths, key=lambda path: (begun(path), path.stat().st_mtime), reverse=True)
 
 
 def read_info(path: Path) -> RunInfo:
