@@ -348,8 +348,7 @@ def _box_distance(ends, link, box):  # noqa: ANN001, ANN202
 @inner
 def _count(shape):  # noqa: ANN001, ANN202
     """Distances of a posture."""
-    bodies = len(shape.pairs) + len(shape.places) + len(shape.moving) * len(shape.boxes)
-    return len(shape.floors) + bodies
+    return len(shape.floors) + len(shape.pairs) + len(shape.places) + len(shape.moving) * len(shape.boxes)
 
 
 @compiled(OUT1(IN3, SHAPE))

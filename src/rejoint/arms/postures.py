@@ -342,8 +342,7 @@ def _least(arm: Arm) -> Array:
     kept[: len(collision_shape(arm).pairs)] = APART
     usual = np.minimum(kept, 0.5 * np.median(apart, axis=0))
     least = np.where(np.ptp(apart, axis=0) < 1e-6, -np.inf, np.maximum(usual, 0.0))
-    boxes = len(collision_shape(arm).moving) * len(arm.keep_out)
-    least[len(least) - boxes :] = CLEARANCE
+    least[len(least) - len(collision_shape(arm).moving) * len(arm.keep_out) :] = CLEARANCE
     return least
 
 
@@ -375,5 +374,4 @@ def pool_of(arm: Arm) -> Pool:
         raise InputError(f"arm {arm.name}: {cause}, of {DRAWN} that were tried; correct its file")
     posture = drawn[free]
     f = frames(arm, posture)
-    parts = (posture, f.tcp_position, f.tcp_rotation, gravity_torque(arm, posture), bare[free])
-    return Pool(*map(frozen, parts))
+    return Pool(*map(frozen, (posture, f.tcp_position, f.tcp_rotation, gravity_torque(arm, posture), bare[free])))

@@ -250,8 +250,7 @@ def unloaded_joints(arm: Arm) -> Mask:
 @lru_cache
 def moves_tool(arm: Arm) -> Mask:
     """Joints (n,) that move the TCP at targets."""
-    lever = levers(arm, posture_grid(arm, 2).q).max(axis=0)
-    return frozen(lever > LEAST_LEVER * reach(arm))
+    return frozen(levers(arm, posture_grid(arm, 2).q).max(axis=0) > LEAST_LEVER * reach(arm))
 
 
 LEVEL = 0.02

@@ -206,8 +206,7 @@ def read_folder(pattern: str, arm: Arm, board: Board, carried: str = "board") ->
         )
         if picture is not None:
             seen, size = detector.find(path.name, picture), picture.shape[::-1]
-        shot = Shot(position=position[row], posture=int(posture[row]), seen=seen)
-        film = film.with_shot(shot, size)
+        film = film.with_shot(Shot(position=position[row], posture=int(posture[row]), seen=seen), size)
     return film
 
 
@@ -435,8 +434,7 @@ def _judged(
         problem.layout.displacement(vector).tool_pose(problem.arm, problem.position)
     )
     placed = [place(rig.lens, rig.board, view, near) for view, near in zip(views, told, strict=True)]
-    sights = np.array([one.pose for one in placed])
-    problem = replace(problem, seen=rig.carried_in(sights))
+    problem = replace(problem, seen=rig.carried_in(np.array([one.pose for one in placed])))
     off = np.sqrt((problem.weighed(vector)[1] ** 2).mean(axis=1))
     away, turned = np.linalg.norm(problem.misfit(vector).reshape(-1, 2, 3), axis=2).T
     usual, flat = max(1.0, float(np.median(off))), float(np.median([one.rms for one in placed]))

@@ -122,8 +122,7 @@ class LiveEye:
         self._end.set()
         self._thread.join()
         if self.why and (self._newest is None or self._gone):
-            told = "%s: %s; the arm was driven by its calibration alone from then on"
-            LOGGER.warning(told, self.name, self.why)
+            LOGGER.warning("%s: %s; the arm was driven by its calibration alone from then on", self.name, self.why)
 
     def sighting(self, now: float) -> Sighting | None:
         """Newest detection on the robot's clock, ``now`` [s], or None."""

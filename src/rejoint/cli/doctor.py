@@ -218,8 +218,7 @@ def link(case: Surroundings) -> Iterator[Symptom]:
         case.opened.read()
         took.append(1e3 * (time.monotonic() - began))
     usual, period = float(np.median(took)), 1e3 * case.place.default_period[0]
-    slow = usual > BUSY * period
-    fix = f"use a cable or a nearer computer; else --period {usual / BUSY:.0f}" * slow
+    fix = f"use a cable or a nearer computer; else --period {usual / BUSY:.0f}" * (usual > BUSY * period)
     yield Symptom(
         f"a question takes {usual:.0f} ms ({max(took):.0f} at most), the control period is {period:.0f} ms", fix
     )

@@ -143,8 +143,7 @@ class Following:
     def _excused(self, bad: Mask, late: Mask) -> Mask:
         """Arms (B,) late as a whole: a ``bad`` and another ``late`` joint, (B, n)."""
         now, several = self._last, bad.any(axis=-1) & ((bad | late).sum(axis=-1) > 1)
-        begins = several & (now - self._excused_last > EXCUSED)
-        self._excused_since = np.where(begins, now, self._excused_since)
+        self._excused_since = np.where(several & (now - self._excused_last > EXCUSED), now, self._excused_since)
         self._excused_last = np.where(several, now, self._excused_last)
         return several & (now - self._excused_since < EXCUSED)
 

@@ -294,8 +294,7 @@ class Finishing:
         self._cycles += 1
         odd = np.arange(self._arm.joints) % 2  # neighbours swing one after the other
         side = 1.0 - 2.0 * ((self._cycles + (1 - odd) * (swing // 2)) // swing % 2)
-        wanted = self._base + AHEAD * share * motion + share * side * self._amplitude * self._moving
-        return wanted[None]
+        return (self._base + AHEAD * share * motion + share * side * self._amplitude * self._moving)[None]
 
     def _watch(self, now: float, swing: int) -> None:
         if self._fading <= now:

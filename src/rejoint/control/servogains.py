@@ -382,8 +382,7 @@ class _RoundWatch:
         if state.temperature is not None:
             self.joints |= state.temperature[0] > HOTTEST
         if state.load is not None:
-            heavy = np.abs(state.load[0]) > HEAVIEST
-            self._labours = np.where(heavy, self._labours + elapsed, 0.0)
+            self._labours = np.where(np.abs(state.load[0]) > HEAVIEST, self._labours + elapsed, 0.0)
             self.joints |= self._labours > LABOURS
         self._seen = [one for one in self._seen if now - one[0] < LOOKED] + [(now, state.position[0])]
         if inputs.since_target[0] > 2 * LOOKED:  # it is long there

@@ -232,8 +232,7 @@ def _stiffness(
         total = shifted(motor, links[joint])
         if total is not None:
             found[joint] = product(total, reciprocal(ratio)), None
-    less_sure = _by_sag(arm, laws, KNOWN_WITHIN)
-    return [(k or sag, motor) for (k, motor), sag in zip(found, less_sure, strict=True)]
+    return [(k or sag, motor) for (k, motor), sag in zip(found, _by_sag(arm, laws, KNOWN_WITHIN), strict=True)]
 
 
 def sags(data: ExcitationLog) -> tuple[Array, Array, Array]:
@@ -379,5 +378,4 @@ def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
     """F = k (F/k), or a bound for a half width of zero."""
     if half_width.value > 0:
         return product(stiffness, half_width)
-    high = None if half_width.high is None else max(stiffness.value * half_width.high, 0.0)
-    return Estimate(0.0, 0.0, high)
+    return Estimate(0.0, 0.0, None if half_width.high is None else max(stiffness.value * half_width.high, 0.0))

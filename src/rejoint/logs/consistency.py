@@ -265,8 +265,7 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Ite
         raw = np.rad2deg(angles) if motion.half is None else angles / motion.half * 100.0
         kind, why = unit_by_steps(raw)
         if kind is None and lerobot and np.abs(raw).max() <= NORMALISED_MOST:
-            unsaid = "nothing in the file tells degrees from normalised values: compare with what the arm did"
-            yield unsaid, ""
+            yield "nothing in the file tells degrees from normalised values: compare with what the arm did", ""
         if kind not in (None, declared):
             said = {"deg": "degrees", "normalised": "normalised values (-100 to 100)"}[str(kind)]
             remedy = f"set --angle-unit {kind}" + " with --calibration" * (kind == "normalised")

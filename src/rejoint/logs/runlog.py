@@ -291,8 +291,7 @@ def _digest(log: RunLog) -> str:
 def describe(path: Path) -> str:
     """Kind of a file or folder, in words."""
     if path.is_dir():
-        names = sorted(entry.name + "/" * entry.is_dir() for entry in path.iterdir())
-        return f"a folder with {shown(names)}"
+        return f"a folder with {shown(sorted(entry.name + '/' * entry.is_dir() for entry in path.iterdir()))}"
     if not path.is_file():
         return "neither a file nor a folder"
     with path.open("rb") as file:

@@ -59,8 +59,7 @@ def templates(below: str) -> list[str]:
 
 def write_page(path: Path, template: str, **values: object) -> Path:
     """Fill a template and write the page, whole or not at all."""
-    html = render(template, **values).rstrip() + "\n"
-    write_text(path, html)
+    write_text(path, render(template, **values).rstrip() + "\n")
     return path
 
 

@@ -96,8 +96,7 @@ def plural(count: int, noun: str) -> str:
 
 def cycles(count: float) -> str:
     """``1.05 million control cycles``."""
-    few = count < 1e5
-    return f"{count:.0f} control cycles" if few else f"{number(count / 1e6, 3)} million control cycles"
+    return f"{count:.0f} control cycles" if count < 1e5 else f"{number(count / 1e6, 3)} million control cycles"
 
 
 def short(name: str) -> str:

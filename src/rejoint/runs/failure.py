@@ -32,8 +32,7 @@ def failure_of(error: BaseException) -> Failure:
         text = "not enough memory for this; close other programs, allow more, or ask for less"
         return Failure(text, "MemoryError", UNUSABLE)
     if line := explain(error):
-        missing = isinstance(error, ImportError)
-        return Failure(line, "MissingExtraError" if missing else "InputError", UNUSABLE)
+        return Failure(line, "MissingExtraError" if isinstance(error, ImportError) else "InputError", UNUSABLE)
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         text = f"{where}{error.strerror or error}; check the path, its permissions and the space left"

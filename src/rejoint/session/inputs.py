@@ -159,8 +159,7 @@ def opened(run: RunLike, arm: ArmLike | None) -> Run:
         return found
     given = load_arm(arm)
     found.require(given)
-    boxes = each_once(*found.arm.keep_out, *given.keep_out)
-    return replace(found, arm=replace(found.arm, keep_out=boxes))
+    return replace(found, arm=replace(found.arm, keep_out=each_once(*found.arm.keep_out, *given.keep_out)))
 
 
 def run_of_logs(run: RunLike | None, logs: LogsLike, arm: ArmLike | None) -> tuple[Run | None, Arm]:

@@ -482,8 +482,7 @@ def _drive(session: ArmSession, served: ServedArm, log: OrderLog, over: Callable
 
     def give_up(inputs: ControlInput) -> bool:
         lasted = inputs.state.time[0] - began
-        rests = lasted > PIECE and not served.moving
-        return rests or lasted > LONGEST_PIECE or over()
+        return (lasted > PIECE and not served.moving) or lasted > LONGEST_PIECE or over()
 
     asked = session.settings.controller is not None
     controller = session.driver()[1] if asked else session.posture_controller()

@@ -104,8 +104,7 @@ def see(studio: Studio) -> None:
     """Check the servos; nothing moves."""
     session = studio.session()
     session.look()
-    state = session.robot.read()
-    found = tuple(look_at_servos(session.arm, state))
+    found = tuple(look_at_servos(session.arm, session.robot.read()))
     studio.keep(checks=found)
     bad = [f"{one.found}; {one.fix}" for one in found if one.fix]
     if bad:
@@ -132,8 +131,7 @@ def nudge(studio: Studio) -> None:
 def diagnose(studio: Studio, quick: bool) -> None:
     """Find out what is wrong with the arm."""
     studio.keep(diagnosis=None)
-    done = studio.call(rejoint.diagnose, run=studio.begin_run(quick=quick), quick=quick)
-    studio.keep(diagnosis=done.diagnosis)
+    studio.keep(diagnosis=studio.call(rejoint.diagnose, run=studio.begin_run(quick=quick), quick=quick).diagnosis)
     studio.change(done="Diagnosed. What was found is written at the joints.")
 
 
@@ -264,8 +262,7 @@ def play(studio: Studio, points: Sequence[Array], repeat: float) -> None:
     if len(points) < 2:
         raise InputError("a path needs two points; add the places where the tool is to go")
     legs = np.linalg.norm(np.diff(points, axis=0), axis=-1)
-    path = np.column_stack([np.append(0.0, np.cumsum(legs / SPEED + 0.2)), points])
-    _followed(studio, path, int(repeat))
+    _followed(studio, np.column_stack([np.append(0.0, np.cumsum(legs / SPEED + 0.2)), points]), int(repeat))
 
 
 def play_file(studio: Studio, content: bytes) -> None:

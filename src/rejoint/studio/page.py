@@ -239,8 +239,7 @@ class StudioPage(WebPage):
     def render(self) -> None:
         """Show the status."""
         status, studio = self.studio.status, self.studio
-        left = jobs.left(studio)
-        self._head.content = str(self._words.now(status, left, TITLES))
+        self._head.content = str(self._words.now(status, jobs.left(studio), TITLES))
         self._bar.visible = status.busy
         self._bar.value = 100.0 * status.share  # type: ignore[misc]  # declared read-only, and is not
         self._stop.label = "Stopping ..." if status.stopping else self.stop_label

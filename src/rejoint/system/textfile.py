@@ -129,8 +129,7 @@ class Sheet:
 def shown(titles: Sequence[str]) -> str:
     """Join titles in one short line."""
     short = [re.sub(r"\s+", " ", title)[:120] or "(no name)" for title in titles[:_SHOWN]]
-    more = f" and {len(titles) - _SHOWN} more" if len(titles) > _SHOWN else ""
-    return (", ".join(short) or "none") + more
+    return (", ".join(short) or "none") + (f" and {len(titles) - _SHOWN} more" if len(titles) > _SHOWN else "")
 
 
 def split_unit(title: str, units: Collection[str]) -> tuple[str, str | None]:
@@ -186,8 +185,7 @@ def read_columns(
             raise FileError(
                 path, f"column {title} has no unit or another one, or comes twice", f"name it {titled[name]}"
             )
-        words = meanings[name] is None
-        found[name] = sheet.words(index) if words else units[unit] * sheet.numbers([index])[:, 0]
+        found[name] = sheet.words(index) if meanings[name] is None else units[unit] * sheet.numbers([index])[:, 0]
         if name in filled and np.isnan(found[name]).any():
             line = sheet.lines[int(np.argmax(np.isnan(found[name])))]
             raise FileError(path, f"line {line}, column {title} is empty", "mend that line")

@@ -76,8 +76,7 @@ class TrainingOptions:
         preset = load_preset(self.preset)
         sizes = {"agents": self.agents, "iterations": self.iterations}
         given: dict[str, Any] = {name: size for name, size in sizes.items() if size is not None}
-        warm = preset.warm and replace(preset.warm, **given)
-        return replace(preset, ppo=replace(preset.ppo, **given), warm=warm)
+        return replace(preset, ppo=replace(preset.ppo, **given), warm=preset.warm and replace(preset.warm, **given))
 
 
 @value_type
@@ -133,8 +132,7 @@ def train(
 
 def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
     """Write training curves as Parquet."""
-    table = pa.Table.from_pylist([asdict(point) for point in curve])
-    write_parquet(path, table)
+    write_parquet(path, pa.Table.from_pylist([asdict(point) for point in curve]))
 
 
 def make_learner(

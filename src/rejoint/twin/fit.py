@@ -226,8 +226,7 @@ def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: in
     prior, candidates = problem.prior, starts
     for i in range(rounds):
         residuals = problem.residuals(candidates)
-        best = np.argmin(loss(residuals).sum(axis=(1, 2)))
-        weights = problem.weights(residuals[best])
+        weights = problem.weights(residuals[np.argmin(loss(residuals).sum(axis=(1, 2)))])
         x = line_up(problem, candidates, residuals, weights)[0]
         count, layout = len(starts) - 1, problem.layout
         chosen = layout.fitted(rng.choice([0.0, 1.0], size=(count, layout.is_fitted.sum())))
@@ -377,8 +376,7 @@ def fixed_covariance(
     for other, sigma in others(problem.replay):
         path = other.predict(unpack(found.vector[None], problem.joints))[0]
         change = (path - problem.measured - residual) * (sigma / STEP)
-        pull = problem.system(jacobian, weight, change)[1]
-        moved.append(np.where(problem.frozen | found.at_bound, 0.0, pull))
+        moved.append(np.where(problem.frozen | found.at_bound, 0.0, problem.system(jacobian, weight, change)[1]))
     by = np.linalg.solve(curvature, np.array(moved).T)
     by[problem.layout.kind != TORQUE_LIMIT, -1] = 0.0  # measured: the no-load speed, the last, moves the limit alone
     return by @ by.T

@@ -180,8 +180,7 @@ class Replay:
         if tables:
             from rejoint.twin.table import TableBatch  # late: free arms need no MuJoCo
 
-            touched = [tables[i] for i in which]
-            twins = TableBatch(self.arm, arms, touched, self.timestep, THREADS)
+            twins = TableBatch(self.arm, arms, [tables[i] for i in which], self.timestep, THREADS)
         else:
             twins = ChainBatch(self.arm, m * count, self.timestep, THREADS)
             twins.write(Draw.of(arms))
@@ -303,8 +302,7 @@ def powered(logs: Sequence[RunLog]) -> list[RunLog]:
         edges = np.flatnonzero(np.diff(off, prepend=True, append=True)).reshape(-1, 2).tolist()
         pieces = [log.rows(slice(a, b)) for a, b in edges if b - a > 2]
         for number, piece in enumerate(pieces, start=1):
-            label = f"{log.label} ({number})" if len(pieces) > 1 else log.label
-            found.append(replace(piece, label=label))
+            found.append(replace(piece, label=f"{log.label} ({number})" if len(pieces) > 1 else log.label))
     return found
 
 

@@ -232,8 +232,7 @@ def drive_torque(problem: Problem, x: Array, share: float = SELDOM) -> Array:
     parameters = unpack(x, problem.joints)
     lead = problem.replay.references(parameters) + parameters.offset - problem.measured
     lead = np.minimum(np.abs(lead), np.abs(lead - problem.residuals(x[None])[0]))
-    torque = parameters.stiffness * np.maximum(lead, problem.floor)
-    return np.quantile(torque, 1.0 - share, axis=0)
+    return np.quantile(parameters.stiffness * np.maximum(lead, problem.floor), 1.0 - share, axis=0)
 
 
 def explains(problem: Problem, x: Array, simpler: Array) -> bool:

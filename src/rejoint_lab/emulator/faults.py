@@ -216,8 +216,7 @@ class EmulatedArm(ABC):
     def temperature(self) -> Array:
         """(n,) [deg C]."""
         true = self.plant.temperature[0]
-        more = np.minimum(HEATING * self._since("overheat"), HOT - true)
-        return true + np.maximum(more, 0.0)
+        return true + np.maximum(np.minimum(HEATING * self._since("overheat"), HOT - true), 0.0)
 
     @property
     def voltage(self) -> Array:

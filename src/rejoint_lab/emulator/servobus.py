@@ -366,8 +366,7 @@ def overlaid(answers: list[Answer]) -> list[Answer]:
     found: list[Answer] = []
     for answer in answers:
         if found and abs(found[-1].after - answer.after) < 1e-9:
-            both = zip(found[-1].data, answer.data, strict=False)
-            answer = answer._replace(data=bytes(a & b for a, b in both))
+            answer = answer._replace(data=bytes(a & b for a, b in zip(found[-1].data, answer.data, strict=False)))
             found.pop()
         found.append(answer)
     return found

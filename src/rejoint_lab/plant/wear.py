@@ -336,8 +336,7 @@ def draw_wear(wear: Wear, arm: Arm, seed: int) -> Wear:
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     factor = {name: rng.uniform(1 - _SPREAD, 1 + _SPREAD, arm.joints) for name in PARAMETERS}
     drawn = {name: getattr(wear, name) * factor[name] for name in PARAMETERS}
-    over = (wear.stiction - wear.coulomb) * factor["stiction"]
-    drawn["stiction"] = drawn["coulomb"] + over
+    drawn["stiction"] = drawn["coulomb"] + (wear.stiction - wear.coulomb) * factor["stiction"]
     neighbour = replace(wear, name=f"{wear.name}?seed={seed}", **drawn)
     low = np.maximum((1 - _SPREAD) * wear.torque_limit, _LIFT_MARGIN * lifting_torque(neighbour, arm))
     high = np.maximum((1 + _SPREAD) * wear.torque_limit, 1.01 * low)

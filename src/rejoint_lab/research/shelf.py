@@ -48,8 +48,7 @@ def _so101_ranges(arm: Arm) -> Ranges:
 
 def _so101(arm: Arm) -> TrainingOptions:
     law = replace(DEFAULT.task.law, stiffness=SO101_STIFFNESS, decay_start=DECAY_START)
-    preset = replace(DEFAULT, task=replace(DEFAULT.task, law=law))
-    return TrainingOptions(preset=preset, ranges=_so101_ranges(arm))
+    return TrainingOptions(preset=replace(DEFAULT, task=replace(DEFAULT.task, law=law)), ranges=_so101_ranges(arm))
 
 
 RECIPES: dict[str, Callable[[Arm], TrainingOptions]] = {

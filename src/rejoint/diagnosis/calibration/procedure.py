@@ -491,8 +491,7 @@ def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int)
             LOGGER.warning("posture %d is left out: %s", number + 1, error)
             return None
         again = again and f"{again}; it is measured once more"
-        stop = Stop(number + 1, len(plan.posture), tcp_position(robot.arm, position), again)
-        point = gauge.measure(robot, stop)
+        point = gauge.measure(robot, Stop(number + 1, len(plan.posture), tcp_position(robot.arm, position), again))
         check()
         if not np.isfinite(point).any():
             return None

@@ -64,8 +64,7 @@ def _crossing(found: Spread | None) -> str:
     if found is None:
         return UNKNOWN
     mean = number(MM * found.mean.value)
-    places = len(mean.partition(".")[2])
-    return f"{mean} ± {MM * found.std:.{places}f}" if found.std else mean
+    return f"{mean} ± {MM * found.std:.{len(mean.partition('.')[2])}f}" if found.std else mean
 
 
 def _settled(row: ControllerRow, block: int) -> Cell:

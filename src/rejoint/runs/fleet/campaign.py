@@ -358,8 +358,7 @@ class FleetRow:
         """Row of the table `HEADERS`."""
         spent = f" ({sum(took for _, took in self.steps):.0f} s)" if self.steps else ""
         done = ", ".join(name for name, _ in self.steps) + spent
-        error = "" if self.error_mm is None else f"{self.error_mm:.1f}"
-        return [self.name, self.state, error, done, self.todo]
+        return [self.name, self.state, "" if self.error_mm is None else f"{self.error_mm:.1f}", done, self.todo]
 
 
 @value_type

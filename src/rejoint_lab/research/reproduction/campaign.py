@@ -67,8 +67,7 @@ class PaperRanges:
         """Draw ``count`` arms."""
         p = rng.uniform(*self.stiffness, (count, 1))
         d = rng.uniform(p / self.damping_divisor[1], p / self.damping_divisor[0])
-        noise = rng.normal(0.0, self.joint_noise, (count, self.arm.joints))
-        twin = replace(self.twins(p, d), offset=noise)
+        twin = replace(self.twins(p, d), offset=rng.normal(0.0, self.joint_noise, (count, self.arm.joints)))
         return replace(Draw.of(twin), period=1.0 / rng.uniform(*self.frequency, count))
 
     def twins(self, p: Array, d: Array) -> TwinParameters:
