@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rejoint.arms import Box, Motors, gravity_torque, link_inertia, mycobot280, plan, tcp_position
+from rejoint.arms import Box, Motors, gravity_torque, link_inertia, mycobot280, plan, tcp_pose, tcp_position
+from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import UNKNOWN, TargetSequence, beginning_at, lead, pace, waiting, with_ways
@@ -23,8 +24,10 @@ POSTURES = np.radians([[100.0, 20.0, -70.0, -20.0, 10.0, 0.0], [-60.0, -30.0, -6
 
 def test_a_goal_leads_its_target_by_the_lag_of_servos_and_both_end_where_they_are_to_be():
     ways = with_ways(ARM, POSTURES[:1], ARM.rest)
-    aim = tcp_position(ARM, POSTURES[:1]) + 0.005
-    reference, way = TargetSequence(ARM, aim[None], ways=[ways]), ways[0]
+    aim, way = tcp_position(ARM, POSTURES[:1]) + 0.005, ways[0]
+    turned = tcp_pose(ARM, POSTURES[None, :1])[..., :3, :3]
+    turn = Orientation(rotation=turned, whole=np.full((1, 1), True), weight=np.full((1, 1), 0.1), axis=np.eye(3)[2])
+    reference = TargetSequence(ARM, aim[None], ways=[ways], turns=turn)
     reference.begin(np.ones(1, dtype=bool), np.zeros(1, dtype=int), ARM.rest[None], ARM.rest[None])
     end = reference.advance(now_at(ARM.rest, since=way.duration)).goal
     np.testing.assert_allclose(tcp_position(ARM, end), aim, atol=1e-4)
@@ -33,12 +36,14 @@ def test_a_goal_leads_its_target_by_the_lag_of_servos_and_both_end_where_they_ar
         now = reference.advance(now_at(ARM.rest, since=since))
         place = way.at(float(since[0])) + share * (end[0] - way.goal)
         np.testing.assert_allclose(now.target[0], tcp_position(ARM, place), atol=1e-4)
+        np.testing.assert_allclose(now.turn.rotation[0], tcp_pose(ARM, place)[:3, :3], atol=1e-3)
         np.testing.assert_allclose(now.goal[0], way.at(since[0] + UNKNOWN.delay) + place - way.at(since[0]), atol=1e-9)
         assert now.since_target[0] == 0.0
         assert not now.arrived[0]
     late = reference.advance(now_at(ARM.rest, since=way.duration + 0.5))
     assert late.arrived[0]
     np.testing.assert_array_equal(late.goal, end)
+    np.testing.assert_array_equal(late.turn.rotation, turned[0])
     np.testing.assert_allclose(late.since_target, 0.5)
 
 

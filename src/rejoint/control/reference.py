@@ -12,7 +12,19 @@ from functools import lru_cache
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Index, JointTrajectory, Mask, Motors, clearances, link_inertia, plan, tcp_position
+from rejoint.arms import (
+    Arm,
+    Array,
+    Index,
+    JointTrajectory,
+    Mask,
+    Motors,
+    clearances,
+    link_inertia,
+    plan,
+    tcp_pose,
+    tcp_position,
+)
 from rejoint.arms.collision import usual_distances
 from rejoint.arms.kinematics import REST_GAIN
 from rejoint.arms.planning import PlanningError
@@ -273,8 +285,9 @@ class TargetSequence(Reference):
 
     def advance(self, now: ControlInput) -> ControlInput:
         """See `Reference`. The correction of the aim grows along the way; the goal has a `lead`."""
-        goal, target, ways, since, time = self._goal, self._aim, self._ways, now.since_target, now.state.time
-        now = replace(now, goal=goal, target=target, turn=self._turn, place=self._place, aim=target)
+        goal, target, turn, ways = self._goal, self._aim, self._turn, self._ways
+        since, time = now.since_target, now.state.time
+        now = replace(now, goal=goal, target=target, turn=turn, place=self._place, aim=target)
         if not ways:
             return now
         self._went = np.where((self._pace > 0.0) | (since <= 0.0), time, self._went)
@@ -289,9 +302,12 @@ class TargetSequence(Reference):
                 goal[b] = way.at(gone) + gone / duration[b] * (self._goal[b] - way.goal)
                 leads[b] = lead(self._arm, way, gone, self._pace[b])
             target[rows] += tcp_position(self._arm, goal[rows]) - tcp_position(self._arm, self._goal[rows])
+            if turn:
+                here, there = (tcp_pose(self._arm, q)[:, :3, :3] for q in (goal, self._goal))
+                turn = replace(turn, rotation=here @ there.mT @ turn.rotation)
             goal += leads
         at_end = np.where(moving, 0.0, since - duration)
-        return replace(now, goal=goal, target=target, since_target=at_end, arrived=~moving)
+        return replace(now, goal=goal, target=target, turn=turn, since_target=at_end, arrived=~moving)
 
     def left_out(self, since: Array, before: Array, position: Array) -> Array | float:
         """See `Reference`."""
