@@ -18,6 +18,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Displacement, Motors, load_arm, tcp_position
 from rejoint.arms.inertia import LoadedArm
+from rejoint.arms.postures import too_heavy
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.controllers.posture import PostureController, PostureGains
@@ -523,6 +524,11 @@ class ArmDriver:
                 "and not leave."
             )
 
+    def overloaded(self, posture: Array) -> str:
+        """Say which motor perhaps does not lift the arm from ``posture`` (n,) [rad]; empty: each does."""
+        joint, why = too_heavy(self.arm, posture, self.motors.usable) if self.motors else (None, "")
+        return "" if joint is None else f"the load may be too heavy there: {why}"
+
     def say_noticed(self, log: RunLog | None) -> None:
         """Report an unexpected load that the sag of a ``log`` shows."""
         twin = self.twin_now
@@ -591,7 +597,7 @@ class ArmDriver:
 
         ``within`` [m] and [rad] of the tool, or the latter of each of the ``joints`` (n,) [rad]; in words ``wanted``.
         """
-        arm, motors, here, left, lags = self.arm, self.motors, self.arm.rest, "", ""
+        arm, here, left, lags = self.arm, self.arm.rest, "", ""
         since, reached = np.inf, False  # [s] close since then
 
         def look(inputs: ControlInput) -> bool:
@@ -615,11 +621,9 @@ class ArmDriver:
 
         self.drive(controller, Schedule(dwell=timeout, give_up=look), reference)
         if not (reached or motion.ended.is_set()):
-            advice = "Give it more time or room, or look whether something is in its way"
-            if motors and (why := heavy(arm, here[None], motors)[0]):
-                advice = f"Its load may be too heavy there: {why}"
+            advice = self.overloaded(here) or "give it more time or room, or look whether something is in its way"
             raise NotReachedError(
-                f"the arm did not come within {wanted} of {motion.goal}, still {left} off; it holds. {lags}. {advice}"
+                f"the arm did not come within {wanted} of {motion.goal}, still {left} off; it holds. {lags}; {advice}"
             )
 
     def go(self, posture: Array, give_up: Callable[[ControlInput], bool]) -> None:

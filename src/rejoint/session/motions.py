@@ -142,7 +142,15 @@ def to_targets(session: ArmSession, targets: Targets | None) -> Callable[[ArmMot
                     "the arm went where it says",
                     1e3 * far,
                 )
-            return judge_targets(arm, recording, job, session.calibration, sightings=sightings, ended=ended)
+            return judge_targets(
+                arm,
+                recording,
+                job,
+                session.calibration,
+                overloaded=session.overloaded,
+                sightings=sightings,
+                ended=ended,
+            )
 
         try:
             recording = session.drive(driver, Schedule(dwell=job.dwell, give_up=motion.give_up), reference, watch)

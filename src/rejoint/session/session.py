@@ -155,10 +155,10 @@ class ArmSession(ArmDriver):
         """
         target, turns = as_place("move_to", target_m.place_m if isinstance(target_m, Pose) else target_m), None
         within = as_within("move_to", (self.settings.within or WITHIN) if within_m is None else within_m)
-        wanted, within_rad = f"{1e3 * within:g} mm", as_positive("move_to", within_rad, ANGLE)
+        wanted, within_rad = f"{1e3 * within:.3g} mm", as_positive("move_to", within_rad, ANGLE)
         if isinstance(target_m, Pose):
             turns = placed(self.arm, [target_m])[1]
-            wanted += f" and {np.degrees(within_rad):g} deg"
+            wanted += f" and {np.degrees(within_rad):.3g} deg"
         timeout = as_seconds("move_to", timeout_s)
         self._require_free()
         ways = self.ways(target[None], turns)
@@ -214,7 +214,7 @@ class ArmSession(ArmDriver):
 
         def work(motion: ArmMotion) -> None:
             controller, unloaded = self._joint_drive(PlannedWay(self.arm, way), min(within, OFF))
-            wanted = f"{np.degrees(within):g} deg"
+            wanted = f"{np.degrees(within):.3g} deg"
             self.arrive(motion, controller, unloaded, timeout, wanted, (np.inf, within), goal)
 
         return self._start(ArmMotion("its joint positions", work), wait=wait)

@@ -5,7 +5,7 @@ Repetition adds the share of the error that repeats to the path (Wiener's filter
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -273,10 +273,15 @@ def judge_targets(
     job: Deployment,
     model: ToolModel | None = None,
     *,
+    overloaded: Callable[[Array], str] = lambda _: "",
     sightings: Sequence[tuple[int, float | None]] = (),
     ended: bool = False,
 ) -> Deployed:
-    """Judge each target; ``sightings`` as `rejoint.control.seeing.Seen.visits`; ``ended``: by an error."""
+    """Judge each target.
+
+    ``overloaded`` says why a posture (n,) [rad] is too heavy, or nothing; ``sightings`` as
+    `rejoint.control.seeing.Seen.visits`; ``ended``: by an error.
+    """
     rows, gap, visits = recording.driven(), recording.gaps(), []
     errors = tool_error(arm, rows.position, rows.aim)
     for k, target in enumerate(job.targets):
@@ -291,6 +296,7 @@ def judge_targets(
                 "ended early": early,
                 f"still {1e3 * error:.0f} mm off after {job.dwell:g} s{_held_back(rows.reasons[here])}": far
                 and not early,
+                (why := overloaded(rows.position[last])): far and bool(why),
                 f"no answers for {paused:.1f} s": paused > 0.0,
                 f"still turned {np.degrees(turned):.0f} deg off": askew,
             }
