@@ -221,8 +221,7 @@ def _promising(arm: Arm, load: Array, goal: Array, start: Array, count: int) -> 
         away += 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0))
     travel = (((pool.posture - start) / np.pi) ** 4).sum(axis=-1) ** 0.25
     heavy = np.minimum((np.abs(pool.torque) / load[0] / redundancy.LOAD) ** 4, 20.0).sum(axis=-1)
-    cost = away + 0.3 * (pool.bare + redundancy.TRAVEL * travel) + 0.15 * heavy
-    return np.argsort(cost, kind="stable")[:count]
+    return np.argsort(away + 0.3 * (pool.bare + redundancy.TRAVEL * travel) + 0.15 * heavy, kind="stable")[:count]
 
 
 def _refuse(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[str, Array, Array]:

@@ -305,8 +305,7 @@ class Finishing:
             return
         self._looked = self._seen.used
         enough = min(CALM * (1.0 + (now - self._since) / RELAX), MOST_CALM)
-        near = norm(np.mean(self._recent, axis=0)) < enough
-        self._good = self._good + 1 if near else 0
+        self._good = self._good + 1 if norm(np.mean(self._recent, axis=0)) < enough else 0
         self._fading = now if self._good >= 2 else np.inf
 
     def _suit(self, readings: Array) -> None:

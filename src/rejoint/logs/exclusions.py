@@ -178,8 +178,7 @@ def free_runs(free: Mask, time: Array, shortest: float) -> list[tuple[int, int]]
     if len(time) < 2:
         return []
     gap = np.diff(time) > 5 * np.median(np.diff(time))
-    breaks = np.flatnonzero(gap | (free[1:] != free[:-1])) + 1
-    runs = pairwise([0, *breaks.tolist(), len(time)])
+    runs = pairwise([0, *(np.flatnonzero(gap | (free[1:] != free[:-1])) + 1).tolist(), len(time)])
     return [(a, b) for a, b in runs if free[a] and time[b - 1] - time[a] >= shortest]
 
 
@@ -213,8 +212,7 @@ def _stale(log: RunLog, usual: Array) -> Mask:
 
 
 def _recovering(time: Array, rows: Mask) -> Mask:
-    latest = np.maximum.accumulate(np.where(rows, time, -np.inf))
-    return time - latest <= RECOVERY
+    return time - np.maximum.accumulate(np.where(rows, time, -np.inf)) <= RECOVERY
 
 
 def joint_speed(time: Array, q: Array) -> Array:

@@ -292,8 +292,7 @@ def identify_logs(
     )
     healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm))] if is_hobby(arm) else []
     judged = [replace(one, gain=gain) if one.gain is None else one for one in (own, *healthy, *beside)]
-    paths = predict_logs(arm, judged, unseen)
-    judgement = judge(arm, paths, unseen, table=motions.height)
+    judgement = judge(arm, predict_logs(arm, judged, unseen), unseen, table=motions.height)
     on_progress(0.8, "all motions")
     note, missing = UNJUDGED, [UNJUDGED]
     if settings.hold_out != ():

@@ -372,8 +372,7 @@ def bad_command(recording: Recording) -> bool:
 
 def missed_in_a_row(crossed: Array) -> bool:
     """Whether `MISSES` targets in a row of ``crossed`` (N,) were missed; NaN: not driven."""
-    known = crossed[np.isfinite(crossed)]
-    return bool((np.convolve(known == 0.0, np.ones(MISSES)) == MISSES).any())
+    return bool((np.convolve(crossed[np.isfinite(crossed)] == 0.0, np.ones(MISSES)) == MISSES).any())
 
 
 def worse(settled: Mapping[str, Array], tests: int) -> dict[str, str]:

@@ -150,8 +150,7 @@ def settled(since: Array, signal: Array, window: float) -> float:
 
 def oscillation(since: Array, tcp: Array, window: float) -> float:
     """Rms distance [m] of ``tcp`` (T, 3) from its mean over the last ``window`` [s]."""
-    last = tcp[since >= since[-1] - window]
-    return float(np.sqrt(last.var(axis=0).sum()))
+    return float(np.sqrt(tcp[since >= since[-1] - window].var(axis=0).sum()))
 
 
 def measure(

@@ -97,8 +97,7 @@ def _criteria(comparison: Comparison) -> Iterator[_Criterion]:
         name="settled error", results=results("settled"), unit="{:.2f} mm", factor=1e3, plain=protocol.within[narrow]
     )
     if comparison.orientations:
-        asked = np.array(comparison.orientations)[:, None] != ""
-        rows = np.broadcast_to(asked, comparison.shape).ravel()
+        rows = np.broadcast_to(np.array(comparison.orientations)[:, None] != "", comparison.shape).ravel()
         yield _Criterion(
             name="of orientation",
             results={name: np.where(rows, turned, 0.0) for name, turned in results("turned").items()},

@@ -311,8 +311,7 @@ def row_of(
     names = ("crossing_error", "crossing_true", "settled", "settled_true", "oscillation", "turned")
     spreads = {name: spread(found[name].ravel(), labels) for name in names}
     for whose in ("", "_true") if alone else ():
-        away = np.stack([found[f"away{whose}_{axis}"] for axis in "xyz"], axis=-1)
-        places = away.swapaxes(1, 2)  # (S, K, R, 3)
+        places = np.stack([found[f"away{whose}_{axis}"] for axis in "xyz"], axis=-1).swapaxes(1, 2)  # (S, K, R, 3)
         off = np.linalg.norm(places.mean(axis=2), axis=-1).ravel()
         each = np.arange(len(off))
         spreads[f"accuracy{whose}"] = spread(off, each)

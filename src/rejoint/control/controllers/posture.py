@@ -137,8 +137,7 @@ def _without(arm: Arm, posture: Array, position: Array, weak: Mask) -> Array:
     goal, place = np.where(weak, position, posture), tcp_position(arm, posture)
     for damping in (0.004, 0.004, 0.004, 0.001):
         tool, jacobian = position_kinematics(arm, goal)
-        step = dls(jacobian * ~weak[:, None, :], place - tool, damping)
-        goal = goal + clip_norm(step, np.radians(8.0))
+        goal = goal + clip_norm(dls(jacobian * ~weak[:, None, :], place - tool, damping), np.radians(8.0))
     return limit_position(arm, goal)
 
 
@@ -237,8 +236,7 @@ class Unloading(Reference):
             return wanted
         if stands > (STANDS if abs(goal[joint] - position[joint]) > OFF else PUSHED):
             self._tries += 1
-            share = 1.0 - EASIER * self._tries
-            legs = unloaded_way(self._arm, position, goal, joint, self._motors, share)
+            legs = unloaded_way(self._arm, position, goal, joint, self._motors, 1.0 - EASIER * self._tries)
             if not legs:
                 self._tries = TRIES
                 return wanted

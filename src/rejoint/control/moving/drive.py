@@ -74,8 +74,7 @@ class Followed(Readable):
 
 def corrected(arm: Arm, guide: Guide, correction: Modelled, home: Array | None = None) -> Guide:
     """Guide of an arm near ``home`` (n,) [rad] by whose corrected targets the tool goes where ``guide`` says."""
-    start = guide.ahead(0.0, np.zeros(1))
-    postures = PathPostures(arm, *start, home)
+    postures = PathPostures(arm, *guide.ahead(0.0, np.zeros(1)), home)
     if isinstance(guide, Stream):
 
         def correct(places: Array, turns: Orientation | None) -> Poses:

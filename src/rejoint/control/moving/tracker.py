@@ -61,8 +61,7 @@ class PathPostures:
 
     def at(self, places: Array, turns: Orientation | None = None) -> Array:
         """Postures (k, B, n) [rad] of ``places`` (k, B, 3) [m] and ``turns`` (k, B); stores the middle one."""
-        start = np.broadcast_to(self.last, (len(places), *self.last.shape))
-        found = self._search(places, start, _ROUNDS, turns)
+        found = self._search(places, np.broadcast_to(self.last, (len(places), *self.last.shape)), _ROUNDS, turns)
         self.last = found[len(found) // 2]
         return found
 

@@ -150,8 +150,7 @@ def remaining(
     design = np.stack([np.ones(len(x)), x, warmer], axis=1)
     believed = np.diag([0.0, 0.0, 1.0 / max(per_degree, 1e-9) ** 2])
     common = np.minimum.outer(-x, -x)  # covariance of a Brownian motion, backwards from now
-    size = max(np.abs(np.polyfit(x, error, 1)[0]), scatter)
-    diffusion = _UNEVEN * size
+    diffusion = _UNEVEN * max(np.abs(np.polyfit(x, error, 1)[0]), scatter)
     root = np.linalg.cholesky(diffusion**2 * common + scatter**2 * np.eye(len(x)))
     white: Array = np.asarray(np.linalg.solve(root, np.column_stack([design, error])), dtype=float)
     best, spread = fit_believed(white[:, :-1], white[:, -1], believed)

@@ -218,8 +218,7 @@ def _sag(deviation: Array, torque: Array, least: float) -> float | None:
     """[mm] slope of deviations (poses,) [mm] over torques (poses,) [N m], times the size of the mean torque."""
     if np.ptp(torque) < least:
         return None
-    slope = np.polyfit(torque - torque.mean(), deviation, 1)[0]
-    return float(slope * abs(torque.mean()))
+    return float(np.polyfit(torque - torque.mean(), deviation, 1)[0] * abs(torque.mean()))
 
 
 def _tool(goal: Array, attained: Array) -> tuple[float, float, float]:

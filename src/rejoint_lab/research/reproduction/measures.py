@@ -221,8 +221,7 @@ def play(
     target, paths = _point(observation, "target"), [_point(observation, "tcp")]
     going, found = np.ones(arms, dtype=bool), dict(zip(MEASURES, np.zeros((4, arms)), strict=True))
     while going.any():
-        action = controller.act(observation) + rng.normal(0.0, noise, (arms, controller.arm.joints))
-        result = task.step(action)
+        result = task.step(controller.act(observation) + rng.normal(0.0, noise, (arms, controller.arm.joints)))
         events = (result.reward, going, result.terminated, result.collided)
         for total, event in zip(found.values(), events, strict=True):
             total += np.where(going, event, 0.0)
