@@ -520,8 +520,8 @@ class ArmDriver:
         if found := [f"{in_mm(place)}: {why}" for place, why in judged if why]:
             more = f", and {len(found) - NAMED} more" if len(found) > NAMED else ""
             self.observer.message(
-                f"Too heavy by the twin: {'; '.join(found[:NAMED])}{more}. The arm tries, but may not come there, "
-                "and not leave."
+                f"Too heavy by the twin: {'; '.join(found[:NAMED])}{more}. The arm tries, but may not arrive, or not "
+                "leave again."
             )
 
     def overloaded(self, posture: Array) -> str:
