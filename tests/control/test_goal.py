@@ -10,6 +10,7 @@ from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import UNKNOWN, TargetSequence, beginning_at, lead, pace, waiting, with_ways
+from rejoint.control.robot import turned_off
 from rejoint.robots import open_robot
 from rejoint.system.errors import InputError
 from rejoint_lab.emulated import EmulatedRobot
@@ -29,7 +30,8 @@ def test_a_goal_leads_its_target_by_the_lag_of_servos_and_both_end_where_they_ar
     turn = Orientation(rotation=turned, whole=np.full((1, 1), True), weight=np.full((1, 1), 0.1), axis=np.eye(3)[2])
     reference = TargetSequence(ARM, aim[None], ways=[ways], turns=turn)
     reference.begin(np.ones(1, dtype=bool), np.zeros(1, dtype=int), ARM.rest[None], ARM.rest[None])
-    end = reference.advance(now_at(ARM.rest, since=way.duration)).goal
+    arrived = reference.advance(now_at(ARM.rest, since=way.duration))
+    end = arrived.goal
     np.testing.assert_allclose(tcp_position(ARM, end), aim, atol=1e-4)
     for share in (0.0, 0.3, 0.9):
         since = np.array([share * way.duration])
@@ -37,6 +39,7 @@ def test_a_goal_leads_its_target_by_the_lag_of_servos_and_both_end_where_they_ar
         place = way.at(float(since[0])) + share * (end[0] - way.goal)
         np.testing.assert_allclose(now.target[0], tcp_position(ARM, place), atol=1e-4)
         np.testing.assert_allclose(now.turn.rotation[0], tcp_pose(ARM, place)[:3, :3], atol=1e-3)
+        np.testing.assert_array_equal(turned_off(ARM, now), turned_off(ARM, arrived))  # of what is wanted in the end
         np.testing.assert_allclose(now.goal[0], way.at(since[0] + UNKNOWN.delay) + place - way.at(since[0]), atol=1e-9)
         assert now.since_target[0] == 0.0
         assert not now.arrived[0]

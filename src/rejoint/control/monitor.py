@@ -120,7 +120,8 @@ class Following:
         bad = (self._verdict == compiled.OVERDUE) | self.falling
         travelled, more = self._travelled(state.position, sent)
         bad = bad | (travelled & aimed[:, None])
-        return bad & ~self._excused(bad, (self._tracks["late"] > 0) | more)[:, None]
+        late = (self._tracks["late"] > 0) | more
+        return bad & ~self._excused(bad, late)[:, None]
 
     def _fall(self, position: Array, sent: Array, goal: Array) -> None:
         """Look for falling joints at a ``position`` after ``sent`` with a ``goal`` (B, n) [rad]."""

@@ -287,7 +287,7 @@ class TargetSequence(Reference):
         """See `Reference`. The correction of the aim grows along the way; the goal has a `lead`."""
         goal, target, turn, ways = self._goal, self._aim, self._turn, self._ways
         since, time = now.since_target, now.state.time
-        now = replace(now, goal=goal, target=target, turn=turn, place=self._place, aim=target)
+        now = replace(now, goal=goal, target=target, turn=turn, place=self._place, aim=target, aim_turn=turn)
         if not ways:
             return now
         self._went = np.where((self._pace > 0.0) | (since <= 0.0), time, self._went)

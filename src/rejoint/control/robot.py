@@ -107,7 +107,9 @@ class ControlInput:
     since_target: Array
     """(B,) [s] since the goal stopped, 0 on a planned way; along a path since it began"""
     turn: Orientation | None = None
-    """(B,) wanted orientations; None: any"""
+    """(B,) wanted orientations, now; None: any"""
+    aim_turn: Orientation | None = None
+    """(B,) the same at the end of the way; None: as now"""
     arrived: Mask = field(default_factory=lambda: np.full(1, True))
     """(B,) the goals have stopped"""
     place: Array | None = None
@@ -129,9 +131,10 @@ def heeds_turn(controller: object) -> bool:
 
 def turned_off(arm: Arm, inputs: ControlInput) -> Array:
     """Orientation errors (B,) [rad] by the encoders; NaN: none wanted."""
-    if inputs.turn is None:
+    turn = inputs.aim_turn or inputs.turn
+    if turn is None:
         return np.full(len(inputs.since_target), np.nan)
-    return missed_pose(arm, inputs.state.position, inputs.target, inputs.turn)[1]
+    return missed_pose(arm, inputs.state.position, inputs.target, turn)[1]
 
 
 @runtime_checkable

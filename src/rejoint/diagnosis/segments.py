@@ -343,6 +343,7 @@ def settled_postures(targets: RunLog) -> Postures:
 def resting_postures(log: RunLog, excluded: Exclusions, *, stops: bool = False) -> Postures:
     """Evenly spread rows of the free arm at rest; with ``stops`` also blocked ones."""
     quiet = (joint_speed(log.time, log.command) < AT_REST) & (joint_speed(log.time, log.position) < AT_REST)
-    rows = np.flatnonzero(quiet & (~(excluded.contact | excluded.stale) if stops else excluded.free))
+    usable = ~(excluded.contact | excluded.stale) if stops else excluded.free
+    rows = np.flatnonzero(quiet & usable)
     rows = rows[np.linspace(0, len(rows) - 1, min(PER_LOG, len(rows))).astype(int)]
     return np.array([log.position[rows], log.command[rows]])

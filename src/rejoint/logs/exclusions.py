@@ -178,7 +178,8 @@ def free_runs(free: Mask, time: Array, shortest: float) -> list[tuple[int, int]]
     if len(time) < 2:
         return []
     gap = np.diff(time) > 5 * np.median(np.diff(time))
-    runs = pairwise([0, *(np.flatnonzero(gap | (free[1:] != free[:-1])) + 1).tolist(), len(time)])
+    breaks = np.flatnonzero(gap | (free[1:] != free[:-1])) + 1
+    runs = pairwise([0, *breaks.tolist(), len(time)])
     return [(a, b) for a, b in runs if free[a] and time[b - 1] - time[a] >= shortest]
 
 

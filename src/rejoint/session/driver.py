@@ -621,9 +621,10 @@ class ArmDriver:
 
         self.drive(controller, Schedule(dwell=timeout, give_up=look), reference)
         if not (reached or motion.ended.is_set()):
-            advice = self.overloaded(here) or "give it more time or room, or look whether something is in its way"
+            heavy_there = self.overloaded(here)
             raise NotReachedError(
-                f"the arm did not come within {wanted} of {motion.goal}, still {left} off; it holds. {lags}; {advice}"
+                f"the arm did not come within {wanted} of {motion.goal}, still {left} off; it holds. {lags}. Give it "
+                f"more time or room, or look whether something is in its way{heavy_there and f'; {heavy_there}'}"
             )
 
     def go(self, posture: Array, give_up: Callable[[ControlInput], bool]) -> None:

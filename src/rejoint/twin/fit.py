@@ -376,7 +376,8 @@ def fixed_covariance(
     for other, sigma in others(problem.replay):
         path = other.predict(unpack(found.vector[None], problem.joints))[0]
         change = (path - problem.measured - residual) * (sigma / STEP)
-        moved.append(np.where(problem.frozen | found.at_bound, 0.0, problem.system(jacobian, weight, change)[1]))
+        pull = problem.system(jacobian, weight, change)[1]
+        moved.append(np.where(problem.frozen | found.at_bound, 0.0, pull))
     by = np.linalg.solve(curvature, np.array(moved).T)
     by[problem.layout.kind != TORQUE_LIMIT, -1] = 0.0  # measured: the no-load speed, the last, moves the limit alone
     return by @ by.T

@@ -109,7 +109,8 @@ def prediction_error(arm: Arm, predicted: Array, measured: Array) -> PredictionE
     """Compare positions (T, n) [rad]."""
     difference = predicted - measured
     joints = np.sqrt(np.mean(difference**2, axis=0))
-    tcp = np.sqrt(np.mean(np.sum((tcp_position(arm, predicted) - tcp_position(arm, measured)) ** 2, axis=-1)))
+    gap = tcp_position(arm, predicted) - tcp_position(arm, measured)
+    tcp = np.sqrt(np.mean(np.sum(gap**2, axis=-1)))
     return PredictionError(joints=tuple(joints.tolist()), joint=float(np.sqrt(np.mean(difference**2))), tcp=float(tcp))
 
 

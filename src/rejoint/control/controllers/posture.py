@@ -137,7 +137,8 @@ def _without(arm: Arm, posture: Array, position: Array, weak: Mask) -> Array:
     goal, place = np.where(weak, position, posture), tcp_position(arm, posture)
     for damping in (0.004, 0.004, 0.004, 0.001):
         tool, jacobian = position_kinematics(arm, goal)
-        goal = goal + clip_norm(dls(jacobian * ~weak[:, None, :], place - tool, damping), np.radians(8.0))
+        step = dls(jacobian * ~weak[:, None, :], place - tool, damping)
+        goal = goal + clip_norm(step, np.radians(8.0))
     return limit_position(arm, goal)
 
 

@@ -373,7 +373,8 @@ def preload(found: Calibration, position: Array) -> Preload:
     best = min(sides, key=lambda side: sides[side])
     lever = levers(arm, position).mean(axis=0)
     often = (np.abs(own.torque(arm, position)) < floating(arm)).mean(axis=0) >= 0.5
-    names = tuple(np.array(arm.joint_names)[often & (own.play * lever > found.floor)].tolist())
+    floats = often & (own.play * lever > found.floor)
+    names = tuple(np.array(arm.joint_names)[floats].tolist())
     return Preload(joints=names, chance=chance(own.gravity), wedge=sides[best], side=best)
 
 
