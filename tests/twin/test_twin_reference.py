@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from rejoint.control.servoreference import ServoReference
 from rejoint.logs.runlog import RunLog
-from rejoint.twin.replay import sent
 
 
 def commands(seed):
@@ -51,7 +50,7 @@ def test_commands_of_rows_lost_from_an_imported_log_are_interpolated():
     time, command = 0.02 * np.arange(100), np.linspace(0.0, np.ones(5), 100)
     whole = replace(RunLog.of(time, command, command, arm="so101"), extra={"format": "table"})
     lost = whole.rows(np.delete(np.arange(100), [7, 30, 31]))
-    np.testing.assert_allclose(sent(lost)[0], time, atol=1e-12)
-    np.testing.assert_allclose(sent(lost)[1], command, atol=1e-12)
+    np.testing.assert_allclose(lost.sent[0], time, atol=1e-12)
+    np.testing.assert_allclose(lost.sent[1], command, atol=1e-12)
     for same in (whole, replace(lost, extra={})):
-        np.testing.assert_array_equal(sent(same)[1], same.command)
+        np.testing.assert_array_equal(same.sent[1], same.command)

@@ -10,6 +10,7 @@ import json
 import sys
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from numpy.typing import ArrayLike
 from rejoint.arms import Arm, ArmLike, Array, Index, load_arm
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import CHANGED, MEGABYTE, begins_with, reading, require_file, write_whole
-from rejoint.system.numbers import LONGEST_PERIOD, as_floats
+from rejoint.system.numbers import LONGEST_PERIOD, as_floats, interpolated
 from rejoint.system.stopping import noted
 from rejoint.system.textfile import head, shown
 
@@ -34,6 +35,9 @@ LOG_MOST = 1000 * MEGABYTE
 
 VALUES_MOST = 200_000_000
 """(chosen: 1.6 GB of memory)"""
+
+GAP, REGULAR = 1.5, 0.8
+"""Periods after which a row is lost, and share of rows within them; chosen"""
 
 TWO_TURNS = 4.0 * np.pi
 """[rad] (chosen: beyond any joint)"""
@@ -129,6 +133,16 @@ class RunLog:
     def commanded(self) -> bool:
         """Whether the log holds commands."""
         return not np.isnan(self.command).all() or not self.command.size
+
+    @cached_property
+    def sent(self) -> tuple[Array, Array]:
+        """Times (T,) [s] and commands (T, n) [rad]; interpolated where imported regular logs lost rows."""
+        steps = np.diff(self.time) / self.period
+        if "format" not in self.extra or np.quantile(steps, REGULAR) > GAP:
+            return self.time, self.command
+        rows = np.append(0, np.cumsum(np.maximum(np.rint(steps), 1)))
+        time = np.interp(np.arange(rows[-1] + 1), rows, self.time)
+        return time, interpolated(time, self.time, self.command)
 
     def rows(self, which: slice | Index) -> RunLog:
         """Return some rows."""

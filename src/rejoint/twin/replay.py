@@ -38,8 +38,6 @@ PARTS = 6
 """Instants of a step whose mean reference counts; chosen"""
 VELOCITY = 2
 """Rows on each side of a velocity; chosen"""
-GAP, REGULAR = 1.5, 0.8
-"""Periods after which a row is lost, and share of rows within them; chosen"""
 THREADS = 2
 """of the simulation; no effect on results"""
 
@@ -79,16 +77,6 @@ def durations(windows: Sequence[Window], logs: Sequence[RunLog]) -> Array:
 def in_force(log: RunLog) -> Array:
     """Commands (T, n) [rad] in force at each reading: row k is sent after its answer."""
     return log.command[np.maximum(np.arange(len(log)) - 1, 0)]
-
-
-def sent(log: RunLog) -> tuple[Array, Array]:
-    """Return times (T,) [s] and commands (T, n) [rad]; interpolated where imported regular logs lost rows."""
-    steps = np.diff(log.time) / log.period
-    if "format" not in log.extra or np.quantile(steps, REGULAR) > GAP:
-        return log.time, log.command
-    rows = np.append(0, np.cumsum(np.maximum(np.rint(steps), 1)))
-    time = np.interp(np.arange(rows[-1] + 1), rows, log.time)
-    return time, interpolated(time, log.time, log.command)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +170,8 @@ class Replay:
 
             twins = TableBatch(self.arm, arms, [tables[i] for i in which], self.timestep, THREADS)
         else:
-            twins = ChainBatch(self.arm, m * count, self.timestep, THREADS)
+            twins = self._batches.get(m) or ChainBatch(self.arm, m * count, self.timestep, THREADS)
+            self._batches[m] = twins
             twins.write(Draw.of(arms))
         twins.restart(start, velocity)
         path = np.concatenate([start[:, None], twins.rollout(control)], axis=1)
@@ -202,20 +191,21 @@ class Replay:
         """Return references (windows * m, steps, n), means over each simulation step."""
         limits = np.stack([parameters.ramp_speed, parameters.delay])
         (speed, delay), which = np.unique(limits, axis=1, return_inverse=True)
+        late = {one: delay[speed == one] for one in speed.tolist()}  # by speed, in its order
         control = np.empty((len(self.windows) * len(which), len(self._grid), self.arm.joints))
         around = ((np.arange(PARTS) + 0.5) / PARTS - 0.5) * self.timestep
         for w, part in zip(self.windows, np.split(control, len(self.windows)), strict=True):
             time = self.logs[w.log].time[w.first] + self._grid
-            sampled = [
-                self._reference(w.log, one).sample(time, delay[speed == one], around)
-                for one in np.unique(speed).tolist()
-            ]
+            sampled = [self._reference(w.log, one).sample(time, own, around) for one, own in late.items()]
             part[:] = np.concatenate(sampled)[which]
         if parameters.compensation.any():
-            torque = np.stack([self._gravity(w) for w in self.windows])[:, None]  # (windows, 1, steps, n)
             share = (parameters.compensation / parameters.stiffness)[:, None]
-            control += (share * torque).reshape(control.shape)
+            control += (share * self._gravity).reshape(control.shape)
         return control
+
+    @cached_property
+    def _batches(self) -> dict[int, ChainBatch]:
+        return {}
 
     @cached_property
     def _last(self) -> dict[int, tuple[float, ServoReference]]:
@@ -226,13 +216,15 @@ class Replay:
         # the last is kept: most twins of a fit ask for the same speed
         log, last = self.logs[number], self._last.get(number)
         if last is None or last[0] != speed:
-            last = self._last[number] = speed, ServoReference(*sent(log), speed, self.acceleration)
+            last = self._last[number] = speed, ServoReference(*log.sent, speed, self.acceleration)
         return last[1]
 
-    def _gravity(self, window: Window) -> Array:
-        """Gravity torques (steps, n) [N m] at the commands of a window."""
-        log = self.logs[window.log]
-        return gravity_torque(self.arm, interpolated(log.time[window.first] + self._grid, log.time, log.command))
+    @cached_property
+    def _gravity(self) -> Array:
+        """Gravity torques (windows, 1, steps, n) [N m] at the commands."""
+        logs = [(self.logs[w.log], w.first) for w in self.windows]
+        paths = [interpolated(log.time[first] + self._grid, log.time, log.command) for log, first in logs]
+        return gravity_torque(self.arm, np.stack(paths))[:, None]
 
 
 GAIN, TORQUE_OFF = "gain", "torque_off"
