@@ -209,6 +209,14 @@ def test_one_direction_tells_no_friction(logs):
     assert fit_law(both, 1) is not None
 
 
+def test_commands_of_unknown_servos_take_effect_at_once(logs):
+    slow = replace(ARM, name="mine", max_speed=0.1 * ARM.max_speed)
+    entry = [replace(logs["healthy"][0], arm="mine")]
+    data = join_logs(slow, entry, find_exclusions(slow, entry))
+    reached = data.references[1].sample(data.log.time + 1e-3, np.zeros(1))[0]
+    np.testing.assert_allclose(reached[:, 0], data.log.command[:, 1])
+
+
 def states_with_current(dry, phase):
     """A minute of states, and of current: ``dry`` (n,) [A], 0.3 A s/rad by speed, 0.05 A s^2/rad, noise; one rests."""
     time = np.arange(0.0, 60.0, 0.01)

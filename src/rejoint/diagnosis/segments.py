@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, tcp_position
+from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque, tcp_position
 from rejoint.arms.kinematics import frames
 from rejoint.control.correction import NOT_KNOWN, ToolModel, TrueError, mean_modelled, modelled
 from rejoint.control.servoreference import ServoReference
@@ -96,8 +96,9 @@ class ExcitationLog:
 
     @cached_property
     def references(self) -> list[ServoReference]:
-        """Of each joint, which ramps to each command at top speed."""
-        log, speed = self.log, self.arm.max_speed
+        """Of each joint; known servos ramp to each command at top speed."""
+        log, known = self.log, is_excitation(self.log) or self.arm.name in CATALOGUE
+        speed = self.arm.max_speed * (1.0 if known else 1e3)
         return [ServoReference(log.time, log.command[:, [j]], speed[j]) for j in range(self.arm.joints)]
 
     @cached_property
