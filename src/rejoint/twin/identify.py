@@ -204,7 +204,7 @@ def fitted_twin(
     identified[at("offset")] &= identified[at("stiffness")] | light  # of unknown stiffness, it holds what is sag
     # below zero it stands for speed that is fed forward, or for late readings; at its bound damping does so too
     identified[at("delay")] &= parameters.delay > 0.0
-    identified[at("compensation")] = identified[at("stiffness")]  # what the sag leaves to either
+    identified[at("compensation")] = identified[at("stiffness")] & ~light  # what the sag leaves to either
     identified[at("damping")] &= ~found.at_bound[at("delay")]
     lower = unpack(belief.lower, problem.joints)
     # a limit that no motion reaches is anything above what was shown
