@@ -151,7 +151,7 @@ def _contact(judgement: Judgement) -> str:
     for best, (mean, _) in ranked(judgement, "contact").items():
         seconds = sum(motion.contact_seconds for motion in judgement.motions)
         return f"On the table ({seconds:.0f} s) “{best}” is closest: {_mean(mean)}."
-    return "The arm touches nothing in these motions: how they predict contact is not known."
+    return "No contact shows in these motions: how they predict contact is not known."
 
 
 def _mean(estimate: Estimate) -> str:
