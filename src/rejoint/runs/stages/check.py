@@ -163,9 +163,6 @@ def check(
             f"that check in {home / CHECKS / head.arm}"
         )
     tolerance = mine[-1].tolerance_mm if tolerance_mm is None and mine else tolerance_mm
-    for killed in sorted((home / CHECKS / head.arm).glob("*")):
-        for path in recover(killed):
-            LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
     if chosen.seed is None:
         chosen = replace(chosen, seed=len(mine))
     named = arm if isinstance(arm, str | Path | None) else built.name if built.name in CATALOGUE else None
@@ -205,6 +202,9 @@ def check(
 @contextmanager
 def _kept(folder: Path) -> Iterator[Callable[[Robot], Robot]]:
     """Return what wraps the robot of a check; without a result its log is kept beside, and no empty ``folder``."""
+    for killed in sorted(folder.parent.glob("*")):  # a check that goes on has the arm
+        for path in recover(killed):
+            LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
     folder.mkdir(parents=True, exist_ok=True)
     try:
         require_space(folder)
