@@ -77,7 +77,7 @@ def _measured(
         log_resumed(file, f"{session.answered} of {len(plan.posture)} measurements are done")
     again = ["--fresh"] * session.fresh
     fits = command("calibrate", robot.address, run and run.path, "--measure", f"points={file}", *again)
-    with kept(lambda: file if found else None, fresh=session.fresh, more=f", and this fits it: {fits}"):
+    with kept(lambda: file if found else None, fresh=session.fresh, more=f", and this ends it with a fit: {fits}"):
         for measured, answered in measure(drive, gauge, plan, found, session.answered, on_progress):
             if file and measured is not None:
                 place = file if found else set_aside(file)
