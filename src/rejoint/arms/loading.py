@@ -408,7 +408,9 @@ def read_arm(source: ArmLike, *, base: str | None = None, tip: str | None = None
     path, source = as_path("an arm, its name or its file", source), str(source)
     suffix = path.suffix.lower()
     if (base or tip or hold) and suffix not in SUFFIXES[1:]:
-        raise InputError(f"base, tip and hold choose a chain of a URDF or MJCF file; {source} is one already")
+        raise InputError(
+            f"base, tip and hold choose a chain of a URDF or MJCF file, and the arm is {source}; give the file"
+        )
     if source.lower() in CATALOGUE:
         return Loaded(arm=described(source.lower()))
     if suffix not in SUFFIXES:
