@@ -64,6 +64,10 @@ def judge(port, run, program, folder):
         seen["refused"] = str(error)
     robot.disconnect()
     seen["connected"].append(robot.is_connected)
+    robot.connect()
+    there = robot.get_observation()["wrist_flex.pos"]
+    seen["moved"] = robot.send_action({"shoulder_pan.pos": 0.0})["wrist_flex.pos"] - there
+    robot.disconnect()
     return seen
 
 

@@ -121,4 +121,5 @@ def test_lerobot_finds_makes_drives_and_leaves_the_robot(tmp_path):
     for name in keys:
         assert seen["end"][name] == pytest.approx(seen["goal"][name], abs=3.0 if name == "gripper.pos" else 1.2), name
     assert seen["clipped"] == pytest.approx(np.degrees(ARM.upper[3]) * 4096 / 4095)
+    assert abs(seen["moved"]) < 10.0  # what was sent before is not sent again after connecting anew
     assert "rejoint refused the goal" in seen["refused"]

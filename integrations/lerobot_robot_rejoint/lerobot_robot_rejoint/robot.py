@@ -41,6 +41,7 @@ class RejointArm(Robot):
         self._program: subprocess.Popen | None = None
         self._middle = [0.0] * len(self.joints)
         self._gripper = 0.0
+        self._sent: list[float] | None = None
 
     @property
     def _motors(self) -> dict[str, type]:
@@ -91,13 +92,17 @@ class RejointArm(Robot):
             self._program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)  # noqa: S603
         except OSError as error:
             raise DeviceNotConnectedError(f"{command[0]} cannot be started ({error}); set --robot.rejoint") from error
-        told = self._hear()
-        if tuple(told["joints"]) != self.joints:
+        self._sent = None
+        try:
+            told = self._hear()
+            if tuple(told["joints"]) != self.joints:
+                raise DeviceNotConnectedError(f"the run is of an arm with {told['joints']}, expected {self.joints}")
+            self._middle = told["middle"]
+            for camera in self.cameras.values():
+                camera.connect()
+        except BaseException:
             self._end()
-            raise DeviceNotConnectedError(f"the run is of an arm with joints {told['joints']}, expected {self.joints}")
-        self._middle = told["middle"]
-        for camera in self.cameras.values():
-            camera.connect()
+            raise
 
     def get_observation(self) -> dict[str, Any]:
         """Return the positions of the last control cycle, and pictures."""
@@ -118,10 +123,10 @@ class RejointArm(Robot):
         if f"{GRIPPER}.pos" in action:
             order["gripper"] = min(max(float(action[f"{GRIPPER}.pos"]), 0.0), 100.0)
         answer = self._ask(order)
-        taken = dict(action)
+        taken: dict[str, Any] = {}
         if answer["goal"] is not None:
-            taken |= self._named(answer["goal"])
-            self._last = [taken[f"{name}.pos"] for name in self.joints]
+            taken = self._named(answer["goal"])
+            self._sent = list(taken.values())
         if "gripper" in order:
             taken[f"{GRIPPER}.pos"] = order["gripper"]
         return taken
@@ -131,8 +136,6 @@ class RejointArm(Robot):
         if self._program is None:
             raise DeviceNotConnectedError(f"{self} is not connected")
         self._end()
-        for camera in self.cameras.values():
-            camera.disconnect()
 
     def _address(self) -> str:
         """Address of the arm, with the calibration of its id where LeRobot has one."""
@@ -144,11 +147,8 @@ class RejointArm(Robot):
 
     def _goal(self, action: dict[str, Any]) -> list[float]:
         """Goals of all joints [deg]; those that are not named stay."""
-        last = getattr(self, "_last", None)
-        if last is None:
-            now = self._observed(self._ask({}))
-            last = [now[f"{name}.pos"] for name in self.joints]
-        return [float(action.get(f"{name}.pos", old)) for name, old in zip(self.joints, last, strict=True)]
+        before = self._sent or list(self._named(self._ask({})["position"]).values())
+        return [float(action.get(f"{name}.pos", old)) for name, old in zip(self.joints, before, strict=True)]
 
     def _observed(self, answer: dict[str, Any]) -> dict[str, Any]:
         if answer["gripper"] is not None:
@@ -192,15 +192,19 @@ class RejointArm(Robot):
             return "without a word"
 
     def _end(self) -> None:
-        """Close the program's input, and wait until the arm holds."""
+        """Close the program's input, wait until the arm holds, and close the cameras."""
         program, self._program = self._program, None
-        program.stdin.close()
-        try:
-            program.wait(END)
-        except subprocess.TimeoutExpired:
-            program.terminate()
-            program.wait()
-        program.stdout.close()
+        if program is not None:
+            program.stdin.close()
+            try:
+                program.wait(END)
+            except subprocess.TimeoutExpired:
+                program.terminate()
+                program.wait()
+            program.stdout.close()
+        for camera in self.cameras.values():
+            if camera.is_connected:
+                camera.disconnect()
 
 
 class RejointSo101(RejointArm):
