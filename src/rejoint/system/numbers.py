@@ -81,7 +81,9 @@ def as_place(
         and np.all(np.abs(place) <= most)
     ):
         return place
-    raise InputError(f"{what}: expected {expected}, of at most {most:g} m ({1e3 * most:g} mm), got {repr(given)[:80]}")
+    raise InputError(
+        f"{what}: expected {expected}, of at most {most:g} m ({1e3 * most:g} millimetres), got {repr(given)[:80]}"
+    )
 
 
 def as_floats(what: str, given: object, expected: str = "numbers") -> NDArray[np.float64]:
