@@ -295,7 +295,7 @@ def offset(case: _Case) -> Found:
     cost = case.lever * abs(case.value("offset_rad"))
     if case.errors.any():  # a servo with an integral term rests nearer
         rest = (case.levers * case.errors).mean()
-        if case.healthy is None and rest < 0.5 * cost:  # that of an unknown servo may be all of it
+        if case.healthy is None and rest < 0.5 * cost:  # an unknown servo: the integral may be all of it
             return None
         cost = min(cost, rest)
     return cost, "has an offset or a dead band: it rests beside its command by about the same angle everywhere,"

@@ -201,8 +201,8 @@ def check(
 
 @contextmanager
 def _kept(folder: Path) -> Iterator[Callable[[Robot], Robot]]:
-    """Return what wraps the robot of a check; without a result its log is kept beside, and no empty ``folder``."""
-    for killed in sorted(folder.parent.glob("*")):  # a check that goes on has the arm
+    """Recover cut checks, return what wraps the robot; without a result its log is kept, and no empty ``folder``."""
+    for killed in sorted(folder.parent.glob("*")):  # not one that goes on: we have the arm
         for path in recover(killed):
             LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
     folder.mkdir(parents=True, exist_ok=True)
