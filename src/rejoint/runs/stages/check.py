@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -174,9 +174,9 @@ def check(
         with (
             noted(),
             ArmSession(robot, arm=built, settings=chosen, observer=observer) as session,
-            _kept(folder) as watch,
+            _kept(session.robot, folder) as watched,
         ):
-            ((log, warm),) = record_check(watch(session.robot), on_progress=update)
+            ((log, warm),) = record_check(watched, on_progress=update)
             require_followed(built, log)
             measures = measure_check(built, log, warm)
             found = outlook(
@@ -200,16 +200,16 @@ def check(
 
 
 @contextmanager
-def _kept(folder: Path) -> Iterator[Callable[[Robot], Robot]]:
-    """Recover cut checks, return what wraps the robot; without a result its log is kept, and no empty ``folder``."""
-    for killed in sorted(folder.parent.glob("*")):  # not one that goes on: we have the arm
+def _kept(robot: Robot, folder: Path) -> Iterator[Robot]:
+    """Wrap an open ``robot``, and recover its cut checks; without a result its log is kept, and no empty ``folder``."""
+    for killed in sorted(folder.parent.glob("*")):  # not one that goes on: it has the arm
         for path in recover(killed):
             LOGGER.warning("A check that was cut short counts for nothing; what it recorded is kept: %s", path)
     folder.mkdir(parents=True, exist_ok=True)
     try:
         require_space(folder)
         with staged(None, LABEL, folder / LOG) as watch:
-            yield watch
+            yield watch(robot)
     finally:
         with suppress(OSError):  # only an empty one goes
             folder.rmdir()
