@@ -38,8 +38,7 @@ def stiffness(logs, gear=1.0):
 def test_torque_tells_the_stiffness_and_a_sag_no_more_than_it_can(share):
     logs = motions(share)
     value, low, high = stiffness(logs).T
-    assert (low < 1.0).all()
-    assert (high > 1.0).all()
+    assert ((low < 1.0) & (high > 1.0)).all()
     assert np.abs(value - 1.0).max() < 0.1
     if share != 0.8:  # the sag left then is that of servos three times as stiff
         _, low, high = stiffness(logs, np.nan).T
@@ -59,3 +58,8 @@ def test_a_twin_has_the_scale_of_the_torque():
     assert known.all()
     assert np.abs(twin.parameters.stiffness / TRUTH.stiffness - 1.0).max() < 0.15
     assert twin.held_out.twin.tcp < 1e-3
+
+
+def test_torque_of_the_other_sign_shows():
+    found = diagnose_logs(STRANGER, [replace(log, torque=-log.torque) for log in motions(0.0)], None)
+    assert found.measurement.torque_over_load == pytest.approx(-1.5, 0.05)

@@ -68,6 +68,9 @@ MANY = 8
 EXPLAINED = 0.5
 """Share of the error above which findings are its cause; chosen"""
 
+AGREE = 1.25
+"""Ratio of torque and load, either way, not named; chosen"""
+
 IN_MOTION = ("low_damping", "lag")
 """Kinds that move no joint from where it rests"""
 
@@ -258,6 +261,12 @@ def _untold(measurement: Measurement) -> tuple[str, ...]:
         joints = [row.joint for row in asked if getattr(row, quantity) is None]
         if joints:
             told.append(words.format("every joint" if len(joints) == len(rows) else ", ".join(joints)))
+    over = measurement.torque_over_load or 1.0
+    if not 1.0 / AGREE < over < AGREE:
+        told.append(
+            f"Logged torque is {over:.4g} times what carries the weight of the model: check its sign and unit, and the "
+            "masses and load of the arm."
+        )
     return tuple(told)
 
 
@@ -372,14 +381,13 @@ def _by_effort(measurement: Measurement, grown: list[str] | None) -> str:
         f"{row.joint} {said(row.coulomb_effort, unit)} and {said(row.viscous_effort, f'{unit} s/rad')}"
         for row in measurement.joints
         if row.coulomb_effort and row.viscous_effort
+    ) or (
+        "not known, as no joint moves in both directions for long enough, or the sign of the column is turned or "
+        "missing: import the values with their sign (a minus in --map turns one)"
     )
     than = "" if grown is None else f" Beside the healthy arm it grew at {', '.join(grown) or 'no joint'}."
-    why = "no joint moves in both directions for long enough"
-    if measurement.turned:
-        why = f"it is below zero at {', '.join(measurement.turned)}: the sign of the column is turned or missing. "
-        why += "Import the values with their sign (a minus in --map turns one)"
     return (
         f"These logs hold no commands{'' if grown else ': whether the arm is worn cannot be told'}. Dry friction, and "
         f"friction by speed, by what the motors give{'' if unit else ', in the unit of the column'}: "
-        f"{named or f'not known, as {why}'}.{than}"
+        f"{named}.{than}"
     )

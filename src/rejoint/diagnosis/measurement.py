@@ -144,8 +144,8 @@ class Measurement:
     """median of the readings"""
     effort_unit: str | None = None
     """of friction by torque or current; empty: that of the column"""
-    turned: tuple[str, ...] = ()
-    """joints with friction clearly below zero: the sign is turned or missing"""
+    torque_over_load: float | None = None
+    """of logged torque, median: 1 expected"""
 
     def balance(self, arm: Arm) -> tuple[Array, Array]:
         """Sag per gravity torque (n,) [rad/(N m)] and lead without load (n,) [rad]; NaN if unknown.
@@ -185,12 +185,16 @@ def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None)
 def measure_logs(data: ExcitationLog) -> Measurement:
     """Measure every joint from joined logs."""
     laws = _laws(data)
-    rows = [_row(data, joint, law, k) for joint, (law, k) in enumerate(zip(laws, _known(data, laws), strict=True))]
-    efforts = [(row.joint, one) for row in rows for one in (row.coulomb_effort, row.viscous_effort)]
-    turned = tuple(dict.fromkeys(joint for joint, one in efforts if one and (one.high or 0.0) < 0.0))
-    if turned:
+    rows = [_row(data, joint, *told) for joint, told in enumerate(zip(laws, _known(data, laws), strict=True))]
+    efforts = (one for row in rows for one in (row.coulomb_effort, row.viscous_effort))
+    if any(one and (one.high or 0.0) < 0.0 for one in efforts):  # the column's sign is turned or missing
         rows = [replace(row, coulomb_effort=None, viscous_effort=None) for row in rows]
-    return Measurement(joints=tuple(rows), period_s=data.log.period, effort_unit=data.effort_unit, turned=turned)
+    return Measurement(
+        joints=tuple(rows),
+        period_s=data.log.period,
+        effort_unit=data.effort_unit,
+        torque_over_load=_over_load(_by_torque(data)),
+    )
 
 
 def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -> JointMetrics:
@@ -221,9 +225,9 @@ def _stiffness(
     links = link_inertia(arm, arm.rest)
     by_sag = _by_sag(arm, laws, SURE_WITHIN)
     found = [_loaded(k, ratio, link) for k, ratio, link in zip(by_sag, ratios, links, strict=True)]
-    known = {joint: motor for joint, (_, motor) in enumerate(found) if motor is not None}
-    if motors is not None and any(motor is not None for motor in motors):
-        known = {joint: within(motor, SAME_KIND) for joint, motor in enumerate(motors) if motor is not None}
+    known = {joint: within(motor, SAME_KIND) for joint, motor in enumerate(motors or ()) if motor is not None} or {
+        joint: motor for joint, (_, motor) in enumerate(found) if motor is not None
+    }
     for joint, ((k, _), ratio) in enumerate(zip(found, ratios, strict=True)):
         if not known or k is not None or ratio is None:
             continue
@@ -302,16 +306,27 @@ def _explained(pulls: Array, along: Array = GRAVITY) -> Array:
     return (sag * error).sum(axis=1).clip(0.0) ** 2 / ((sag**2).sum(axis=1) + 1e-12)
 
 
-def _known(data: ExcitationLog, laws: Sequence[Law | None]) -> list[Estimate | None]:
-    torque = replace(data, log=replace(data.log, current=None))  # which would count instead of the torque
-    by_torque = [_slope(fit_torque(torque, joint), TORQUES, KNOWN_WITHIN) for joint in range(data.arm.joints)]
-    by_sag = _by_sag(data.arm, [None] * data.arm.joints if ZEROS in data.log.extra else laws, KNOWN_WITHIN)
+def _over_load(data: ExcitationLog) -> float | None:
+    """Return `Measurement.torque_over_load`."""
+    if data.effort_unit != "N m" or not data.log.commanded:
+        return None
     loaded = np.ptp(data.gravity, axis=0) >= LOADED * torque_size(data.arm)
-    told = [joint for joint in np.flatnonzero(loaded).tolist() if by_torque[joint]]
-    carried = [fit.coefficients[SOFTNESS] for joint in told if (fit := fit_effort(torque, joint))]
-    if carried and not 1.0 / SURE_WITHIN < np.median(carried) < SURE_WITHIN:
-        return by_sag  # the column holds no torques of the joints: another unit, or before the gear
+    fits = [fit_effort(data, joint) for joint in np.flatnonzero(loaded).tolist()]
+    found = [fit.coefficients[SOFTNESS] for fit in fits if fit]
+    return float(np.median(found)) if found else None
+
+
+def _known(data: ExcitationLog, laws: Sequence[Law | None]) -> list[Estimate | None]:
+    by_sag = _by_sag(data.arm, [None] * data.arm.joints if ZEROS in data.log.extra else laws, KNOWN_WITHIN)
+    data = _by_torque(data)
+    if not 1.0 / SURE_WITHIN < (_over_load(data) or 1.0) < SURE_WITHIN:
+        return by_sag  # the column holds no torques of the joints: another unit or sign, or before the gear
+    by_torque = [_slope(fit_torque(data, joint), TORQUES, KNOWN_WITHIN) for joint in range(data.arm.joints)]
     return [one or sag for one, sag in zip(by_torque, by_sag, strict=True)]
+
+
+def _by_torque(data: ExcitationLog) -> ExcitationLog:
+    return replace(data, log=replace(data.log, current=None))  # which would count instead
 
 
 def _by_sag(arm: Arm, laws: Sequence[Law | None], ratio: float) -> list[Estimate | None]:

@@ -216,7 +216,10 @@ class Law(LinearFit):
     """(4 n + 1, 4 n + 1) of `gravity_terms` and, last, error, in standard errors; None for hobby servos"""
 
 
-def _motion(data: ExcitationLog, joint: int, delays: Array, *, fast: bool) -> Averages:
+_NONE = np.zeros(1)
+
+
+def _motion(data: ExcitationLog, joint: int, delays: Array = _NONE, fast: bool = True) -> Averages:
     segments = data.of_kind(FREE)
     found = window_averages(data, segments, joint, length=_WINDOW, delays=delays, cut=_SETTLING)
     chosen = np.abs(found.direction) > _MOVING
@@ -238,7 +241,7 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
     """
     if not data.log.commanded or data.log.period > COARSEST:
         return None
-    motion = _motion(data, joint, np.array([delay]), fast=fast)
+    motion = _motion(data, joint, np.array([delay]), fast)
     if not motion.enough:
         return None
     load = np.abs(motion.gravity)
@@ -281,7 +284,7 @@ def mirrored_pulls(data: ExcitationLog, mirrors: Array) -> Array:
     turned by 90 and by -90 degrees, and by gravity that fades. Mirrors exchange joints or turn their signs. Zeros
     without a law.
     """
-    motions = [_motion(data, joint, np.zeros(1), fast=False) for joint in range(data.arm.joints)]
+    motions = [_motion(data, joint, fast=False) for joint in range(data.arm.joints)]
     quarters = 0.5 * np.pi * np.kron(np.eye(data.arm.joints), [[1.0], [-1.0]])
     size = 6 + len(quarters)
     found, log = np.zeros((*mirrors.shape[:2], size, size)), data.log
@@ -339,7 +342,7 @@ def gravity_terms(arm: Arm, position: Array, joint: int) -> Array:
 
 def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:
     """Fit torque or current to the terms of the law, with the links' inertia; None with too little motion."""
-    motion = _motion(data, joint, np.zeros(1), fast=True)
+    motion = _motion(data, joint)
     motion = motion.at((np.abs(motion.direction) > _TURNING) & np.isfinite(motion.effort))
     if not motion.enough:
         return None
@@ -355,7 +358,7 @@ def fit_torque(data: ExcitationLog, joint: int) -> LinearFit | None:
     """
     if data.effort_unit != "N m" or not data.log.commanded:
         return None
-    motion, most = _motion(data, joint, np.zeros(1), fast=True), np.fmax.reduce(np.abs(data.effort[:, joint]))
+    motion, most = _motion(data, joint), np.fmax.reduce(np.abs(data.effort[:, joint]))
     motion = motion.at(np.abs(motion.effort) < LIMITED * most)  # at its limit the torque does not tell the error
     if not motion.enough:
         return None
@@ -479,7 +482,7 @@ def arm_delay(data: ExcitationLog) -> float:
     """Delay [s] of commands and answers: lower quartile of the joints."""
     found = []
     for joint in range(data.arm.joints):
-        motion = _motion(data, joint, DELAYS, fast=True)
+        motion = _motion(data, joint, DELAYS)
         if len(motion.time) >= _MIN_WINDOWS:  # a joint that does not move has no time of its own
             fits = np.asarray(np.linalg.lstsq(motion.design, motion.error.T, rcond=None)[0].T)
             costs = _onset_costs(data, joint, fits)
