@@ -11,6 +11,8 @@ from itertools import compress, pairwise
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, tcp_position
+from rejoint.arms.workspace import length_size
+from rejoint.logs.columns import ZEROS
 from rejoint.logs.runlog import RunLog
 from rejoint.system.records import entity
 
@@ -20,6 +22,8 @@ SLOW = 0.05
 """[rad/s] of a usable row (chosen)"""
 LEAST_HELD = 2.0
 """[s] of held rows for a table (chosen)"""
+APART = 0.03
+"""[m] least extent of the places where a table holds a myCobot 280's tip: in one place, friction or a fold may too"""
 MARGIN = 0.010
 """[m] of contact above the table (measured on a real low-cost arm)"""
 RECOVERY = 3.0
@@ -36,6 +40,8 @@ LEAST_TRAVEL = np.radians(6.0)
 STOP_TIME = 0.2
 """[s] at a stop (chosen: a reversal is shorter)"""
 
+PAUSE = 0.1
+"""[s] without readings that ends a run, but for slow ones: loggers pause for tens of milliseconds (chosen)"""
 STALE_TIME = 0.5
 """[s] of constant readings under a moving command (chosen)"""
 STALE_MOTION = np.radians(6.0)
@@ -98,25 +104,27 @@ def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None
 
 
 def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
-    """Height [m] of the tip on a table, or None."""
-    heights, held, weights, usual = [], [], [], _usual_error(logs)
+    """Height [m] of the tip on a table, or None, also where joints have no known zeros."""
+    places, held, weights, usual = [], [], [], _usual_error(logs)
     for log in logs:
-        tip, asked = (tcp_position(arm, q)[:, 2] for q in (log.position, log.command))
+        tip, asked = (tcp_position(arm, q) for q in (log.position, log.command))
         counted = (joint_speed(log.time, log.position) < SLOW) & (joint_speed(log.time, log.command) < SLOW)
-        counted &= ~_stale(log, usual)
-        heights.append(tip[counted])
-        held.append((tip - asked)[counted] > HELD_UP)
+        counted &= ~_stale(log, usual) & (ZEROS not in log.extra)
+        places.append(tip[counted])
+        held.append((tip - asked)[counted, 2] > HELD_UP)
         weights.append(np.full(int(counted.sum()), log.period))
-    height, up, seconds = (np.concatenate(parts) for parts in (heights, held, weights))
+    place, up, seconds = (np.concatenate(parts) for parts in (places, held, weights))
     if not up.any():
         return None
+    height = place[:, 2]
     order = np.argsort(height)
     # Held-up tips count for, others against a table no lower than themselves.
     gain = np.cumsum(np.where(up, seconds, -seconds)[order])
     best = np.argmax(gain)
     found = height[order][best]  # a table is flat: most of what it holds lies there
-    near = seconds[up & (np.abs(height - found) < 2 * MARGIN)].sum()
-    return float(found) if gain[best] > LEAST_HELD and near > 0.5 * seconds[up & (height <= found)].sum() else None
+    near = up & (np.abs(height - found) < 2 * MARGIN)
+    flat = gain[best] > LEAST_HELD and seconds[near].sum() > 0.5 * seconds[up & (height <= found)].sum()
+    return float(found) if flat and np.ptp(place[near], axis=0).max() > APART * length_size(arm) else None
 
 
 def correlations(time: Array, position: Array, command: Array) -> tuple[Array, Array]:
@@ -177,7 +185,7 @@ def free_runs(free: Mask, time: Array, shortest: float) -> list[tuple[int, int]]
     """Gapless free runs (first, last exclusive) of ``shortest`` [s] or more."""
     if len(time) < 2:
         return []
-    gap = np.diff(time) > 5 * np.median(np.diff(time))
+    gap = np.diff(time) > max(5 * float(np.median(np.diff(time))), PAUSE)
     breaks = np.flatnonzero(gap | (free[1:] != free[:-1])) + 1
     runs = pairwise([0, *breaks.tolist(), len(time)])
     return [(a, b) for a, b in runs if free[a] and time[b - 1] - time[a] >= shortest]
