@@ -327,14 +327,15 @@ def _check_motion(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
                 f"joint {arm.joint_names[joint]} at up to {arm.max_speed[joint]:.3g}",
                 _TIME_REMEDY,
             )
-    far, steps = np.abs(way), np.maximum(steps, float(np.median(steps)))[1:-1]
-    jumped = far[1:-1] > SPIKE + 0.25 * SHARPEST * steps**2 + 3.0 * np.maximum(far[:-2], far[2:])
+    far, steps = np.abs(way), np.maximum(steps, float(np.median(steps)))
+    speed, took = far / steps, np.maximum(steps[:-2], steps[1:-1])  # a late stamp lengthens the step before
+    jumped = far[1:-1] > SPIKE + (0.25 * SHARPEST * took + 3.0 * np.maximum(speed[:-2], speed[2:])) * took
     jumped &= far[:-2].any(axis=1, keepdims=True)  # readings that stood still catch up with the arm
     if jumped.any():
         row, joint = _largest(far[1:-1] * jumped)
         yield (
             f"state: {int(jumped.any(axis=1).sum())} time(s) joints are elsewhere in the next sample, farthest "
-            f"{motion.columns[joint]} by {way[row + 1, joint]:.3g} rad in {steps[row, 0]:.3g} s at "
+            f"{motion.columns[joint]} by {way[row + 1, joint]:.3g} rad in {took[row, 0]:.3g} s at "
             f"{motion.where(row + 2)}: no joint moves so",
             "cut the file there, or mend the values",
         )
@@ -370,7 +371,7 @@ APART = 0.5
 def check_agreement(motion: RecordedMotion, off: Sequence[int] = ()) -> Iterator[Remark]:
     """Check states against the commands in force, but those of joints that are ``off``.
 
-    FileError for exchanged joints; doubts for duplicates, implausible lags and scales.
+    Exchanged joints, duplicates, implausible lags and scales.
     """
     state, command = motion.position, np.asarray(motion.command)
     lowest, highest = correlations(motion.time, state, command)
@@ -381,10 +382,10 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int] = ()) -> Iterator
             continue
         own, best = highest[joint, joint], int(np.argmax(highest[joint]))
         other = highest[joint, best]
-        better = best != joint and other > MUCH_BETTER[0] and 1 - own > MUCH_BETTER[1] * (1 - other)
-        if (own < RELATED[0] and other > RELATED[1]) or better:
-            raise FileError(
-                motion.path,
+        better = other > MUCH_BETTER[0] and 1 - own > MUCH_BETTER[1] * (1 - other)
+        # whose own state follows its command as well stays where it is
+        if ((own < RELATED[0] and other > RELATED[1]) or better) and highest[best, best] < other:
+            yield (
                 f"the state of {name} follows the command of {motion.columns[best]} (correlation {other:.2f}), not its "
                 f"own ({own:.2f})",
                 "give the true joint order of states and commands",
