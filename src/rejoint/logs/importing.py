@@ -269,10 +269,10 @@ def detect(source: Path) -> Format:
         raise FileError(source, "no such file or folder", "check the path")
     with reading(source, "not readable", "check its permissions"):
         places = {name: paths for name, reader in READERS.items() if (paths := reader.found(source))}
-        level = min((len(paths[0].parts) for paths in places.values()), default=0)
-        fitting = [name for name, paths in places.items() if len(paths[0].parts) == level]
-        if len(fitting) > 1 and "table" in fitting:  # first bytes and names are surer than that it is text
-            fitting.remove("table")
+        every = {
+            path for paths in places.values() for path in paths
+        }  # a format may be all parts of another, as of bags
+        fitting = [name for name, paths in places.items() if any(every.isdisjoint(path.parents) for path in paths)]
         found = "" if fitting else describe(source)
     if not fitting:
         raise FileError(source, f"no log: {found}; expected {_EXPECTED}", "convert it to one of these")

@@ -40,11 +40,10 @@ class Reader(NamedTuple):
     """the motions in it"""
 
     def found(self, source: Path) -> list[Path]:
-        """Return what it reads at a path: in a folder, sorted, else in folders there, as ROS 2's bags."""
+        """Return what it reads at a path: in a folder and in folders there, sorted."""
         if self.fits(source, True):
             return [source]
-        levels = ([path for path in sorted(source.glob(depth)) if self.fits(path, False)] for depth in ("*", "*/*"))
-        return next(filter(None, levels), [])
+        return [path for depth in ("*", "*/*") for path in sorted(source.glob(depth)) if self.fits(path, False)]
 
 
 _CONTROL, _STATE, _JOINTS = "control.csv", "state_motor.csv", "joint_list.txt"
