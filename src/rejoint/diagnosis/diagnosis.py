@@ -343,7 +343,7 @@ def _nothing(arm: Arm, measurement: Measurement, rest: Postures, healthy: Health
         return f"No joint shows wear that its encoder can see{left}."
     why = "no joint moves slowly and in both directions for long enough"
     if measurement.period_s > COARSEST:
-        why = f"readings are {measurement.period_s:.2f} s apart, expected at most {COARSEST:.1g} s"
+        why = f"readings are {measurement.period_s:.2f} s apart, expected at most {COARSEST:g} s"
     return f"Whether the arm is worn cannot be told: {why}."
 
 
@@ -377,17 +377,20 @@ def _by_effort(measurement: Measurement, grown: list[str] | None) -> str:
         return f"{found.value:.3g}{unit} ({found.low:.3g} to {found.high:.3g})"
 
     unit = f" {measurement.effort_unit}" if measurement.effort_unit else ""
-    named = "; ".join(
+    rows = measurement.joints
+    named = [
         f"{row.joint} {said(row.coulomb_effort, unit)} and {said(row.viscous_effort, f'{unit} s/rad')}"
-        for row in measurement.joints
+        for row in rows
         if row.coulomb_effort and row.viscous_effort
-    ) or (
-        "not known, as no joint moves in both directions for long enough, or the sign of the column is turned or "
-        "missing: import the values with their sign (a minus in --map turns one)"
-    )
+    ]
+    if others := [row.joint for row in rows if not row.coulomb_effort]:
+        named.append(
+            f"not known at {', '.join(others)}: too little motion in both directions, or the sign of the column is "
+            "turned or missing (a minus in --map turns one)"
+        )
     than = "" if grown is None else f" Beside the healthy arm it grew at {', '.join(grown) or 'no joint'}."
     return (
         f"These logs hold no commands{'' if grown else ': whether the arm is worn cannot be told'}. Dry friction, and "
         f"friction by speed, by what the motors give{'' if unit else ', in the unit of the column'}: "
-        f"{named}.{than}"
+        f"{'; '.join(named)}.{than}"
     )

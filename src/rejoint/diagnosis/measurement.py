@@ -186,8 +186,7 @@ def measure_logs(data: ExcitationLog) -> Measurement:
     """Measure every joint from joined logs."""
     laws = _laws(data)
     rows = [_row(data, joint, *told) for joint, told in enumerate(zip(laws, _known(data, laws), strict=True))]
-    efforts = (one for row in rows for one in (row.coulomb_effort, row.viscous_effort))
-    if any(one and (one.high or 0.0) < 0.0 for one in efforts):  # the column's sign is turned or missing
+    if not any(row.coulomb_effort and (row.coulomb_effort.low or 0.0) > 0.0 for row in rows):  # no sign, or turned
         rows = [replace(row, coulomb_effort=None, viscous_effort=None) for row in rows]
     return Measurement(
         joints=tuple(rows),
@@ -200,6 +199,8 @@ def measure_logs(data: ExcitationLog) -> Measurement:
 def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -> JointMetrics:
     half = None if law is None else law.estimate(WIDTH)
     effort = fit_effort(data, joint)
+    if effort and (effort.estimate(WIDTH).high or 0.0) < 0.0:  # its sign is turned
+        effort = None
     return JointMetrics(
         joint=data.arm.joint_names[joint],
         stiffness_nm_per_rad=k,
@@ -311,7 +312,7 @@ def _over_load(data: ExcitationLog) -> float | None:
     if data.effort_unit != "N m" or not data.log.commanded:
         return None
     loaded = np.ptp(data.gravity, axis=0) >= LOADED * torque_size(data.arm)
-    fits = [fit_effort(data, joint) for joint in np.flatnonzero(loaded).tolist()]
+    fits = [fit_effort(data, joint, own=True) for joint in np.flatnonzero(loaded).tolist()]
     found = [fit.coefficients[SOFTNESS] for fit in fits if fit]
     return float(np.median(found)) if found else None
 

@@ -24,8 +24,20 @@ from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.kinematics import GRAVITY, frames, position_kinematics
 from rejoint.arms.workspace import length_size, torque_size
 from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
-from rejoint.diagnosis.segments import AT_REST, FREE, HOLD, QUIET, STEP, STILL, SWEEP, ExcitationLog, Segment, log_of
-from rejoint.logs.exclusions import free_runs, joint_speed
+from rejoint.diagnosis.segments import (
+    AT_REST,
+    FREE,
+    HOLD,
+    QUIET,
+    SETTLED_LAST,
+    STEP,
+    STILL,
+    SWEEP,
+    ExcitationLog,
+    Segment,
+    log_of,
+)
+from rejoint.logs.exclusions import free_runs, joint_speed, velocity
 from rejoint.system.numbers import interpolated
 from rejoint.system.records import entity
 from rejoint.system.shell import Late
@@ -147,14 +159,11 @@ def _window(count: int) -> tuple[Array, Array, Array]:
     return sine**4, 4 * rate * sine**3 * cosine, 4 * rate**2 * (3 * sine**2 * cosine**2 - sine**4)
 
 
-SETTLED_LAST = 0.4
-"""[s] at the end of a hold or step; chosen"""
-
 _WINDOW = 0.3
 """[s] of a window; chosen"""
 
-COARSEST = 0.101
-"""[s] most between readings: 10 Hz, with rounded stamps; chosen"""
+COARSEST = 0.11
+"""[s] most between readings: nearly 10 Hz, as of loggers that sleep for 0.1 s; chosen"""
 
 _SETTLING = 0.2
 """[s] left out at the start of free stretches; chosen"""
@@ -208,8 +217,6 @@ class Law(LinearFit):
 
     torque_range: float
     """[N m] of gravity"""
-    farthest: float
-    """[rad] 99 % quantile of the following error that the law leaves"""
     follows: float = 1.0
     """share of the sag by any masses that the arm's own explain; 1 for hobby servos"""
     moments: Array | None = None
@@ -253,11 +260,9 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
     if np.median((error - design @ fit.coefficients) * np.sign(motion.gravity)) < 0.0:  # but never less
         fit = fit_trimmed(design, error, motion.cluster)
     follows, moments = (1.0, None) if known or fast else _shared(data, motion, joint)
-    left = float(np.quantile(np.abs(error - design @ fit.coefficients), 0.99))
     return Law(
         **vars(fit),
         torque_range=np.ptp(motion.gravity),
-        farthest=left,
         follows=follows,
         moments=moments,
     )
@@ -265,16 +270,22 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
 
 def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, Array]:
     """Share of the sag by any masses that the arm's own explain, and `Law.moments`."""
-    model, error, log = motion.design, motion.error[0], data.log
+    model, error = motion.design, motion.error[0]
     base = np.delete(model, SOFTNESS, axis=1)
-    columns = gravity_terms(data.arm, interpolated(motion.time, log.time, log.position), joint)
-    axes, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
-    free = np.hstack([base, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]])
+    columns, axes = _any_masses(data, motion, joint)
+    free = np.hstack([base, axes])
     kept = _usual(error, free)
     without, own, any_masses = ((_left(error[kept], design[kept]) ** 2).sum() for design in (base, model, free))
     moments = np.linalg.qr(_left(np.column_stack([columns, error])[kept], base[kept]), mode="r")
     scale = len(np.unique(motion.cluster[kept])) ** 0.5 / max(any_masses**0.5, 1e-150)
     return (without - own) / max(without - any_masses, 1e-300), moments * scale
+
+
+def _any_masses(data: ExcitationLog, motion: Averages, joint: int) -> tuple[Array, Array]:
+    """`gravity_terms` (N, 4 n) of a motion, and their visible axes (N, m)."""
+    columns = gravity_terms(data.arm, interpolated(motion.time, data.log.time, data.log.position), joint)
+    axes, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
+    return columns, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]
 
 
 def mirrored_pulls(data: ExcitationLog, mirrors: Array) -> Array:
@@ -340,14 +351,19 @@ def gravity_terms(arm: Arm, position: Array, joint: int) -> Array:
     return terms.reshape(len(position), -1)
 
 
-def fit_effort(data: ExcitationLog, joint: int) -> LinearFit | None:
-    """Fit torque or current to the terms of the law, with the links' inertia; None with too little motion."""
+def fit_effort(data: ExcitationLog, joint: int, *, own: bool = False) -> LinearFit | None:
+    """Fit torque or current to the terms of the law, with the links' inertia; None with too little motion.
+
+    Links of arms outside the catalogue may have any masses, unless they are to be their ``own``.
+    """
     motion = _motion(data, joint)
     motion = motion.at((np.abs(motion.direction) > _TURNING) & np.isfinite(motion.effort))
     if not motion.enough:
         return None
     design = motion.design
     design[:, WIDTH], design[:, SOFTNESS] = motion.direction, motion.load
+    if not own and data.arm.name not in CATALOGUE:
+        design = np.hstack([design, _any_masses(data, motion, joint)[1]])
     return fit_trimmed(design, motion.effort, motion.cluster)
 
 
@@ -378,16 +394,22 @@ def followed(data: ExcitationLog, joint: int) -> float | None:
 
 
 def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
-    """[rad] distance that law and friction leave: largest at rest; without sweeps also `Law.farthest`."""
+    """[rad] distance that law and friction leave for `SETTLED_LAST` in which the joint comes no nearer."""
     _, width, _, softness, offset, _ = np.zeros(6) if law is None else law.coefficients
     rows = np.concatenate([data.rows(one) for one in data.of_kind(FREE)])
-    time, both = data.log.time[rows], np.stack([data.log.command[rows, joint], data.log.position[rows, joint]], axis=1)
-    error = both[:, 0] - both[:, 1] - offset - softness * data.gravity[rows, joint]
-    runs = free_runs(joint_speed(time, both) < AT_REST, time, SETTLED_LAST)
-    left = (joint_speed(time, both[:, :1]) >= AT_REST) | (np.diff(time, prepend=time[:1]) > QUIET)
+    time, command, position = (
+        data.log.time[rows],
+        data.log.command[rows, joint, None],
+        data.log.position[rows, joint, None],
+    )
+    error = (command - position)[:, 0] - offset - softness * data.gravity[rows, joint]
+    nearing = np.sign(error) * velocity(time, position, 4)[:, 0]
+    runs = free_runs(nearing < AT_REST, time, SETTLED_LAST)
+    left = (joint_speed(time, command) >= AT_REST) | (np.diff(time, prepend=time[:1]) > QUIET)
     runs = [(a, b) for a, b in runs if np.append(left, True)[b]]  # before, the joint may be on its way
-    moving = 0.0 if law is None or data.of_kind(SWEEP) else law.farthest
-    return float(max([moving, *(abs(error[a:b].mean()) - width for a, b in runs)]))
+    count = round(SETTLED_LAST / data.log.period)
+    stood = [sliding_window_view(np.abs(error[a:b]), min(count, b - a)).min(axis=-1).max() for a, b in runs]
+    return float(max(max(stood, default=0.0) - width, 0.0))
 
 
 def overshoot(data: ExcitationLog, joint: int) -> Estimate:

@@ -167,6 +167,9 @@ LONGEST = 300.0
 QUIET, SETTLED_HOLD = 1.0, 2.0
 """[s] of constant commands of a step or rest, and of a hold that outlasts a swing; chosen"""
 
+SETTLED_LAST = 0.4
+"""[s] of rest, and at the end of a hold or step; chosen"""
+
 STEP_TIME, STEP_SIZE = 0.15, 0.05
 """[s] and [rad] of a command step; chosen"""
 
@@ -345,6 +348,7 @@ def resting_postures(log: RunLog, excluded: Exclusions, *, stops: bool = False) 
     """Evenly spread rows of the free arm at rest; with ``stops`` also blocked ones."""
     quiet = (joint_speed(log.time, log.command) < AT_REST) & (joint_speed(log.time, log.position) < AT_REST)
     usable = ~(excluded.contact | excluded.stale) if stops else excluded.free
-    rows = np.flatnonzero(quiet & usable)
+    runs = free_runs(quiet & usable, log.time, SETTLED_LAST)  # shorter ones are turning points
+    rows = np.array([row for run in runs for row in range(*run)], dtype=int)
     rows = rows[np.linspace(0, len(rows) - 1, min(PER_LOG, len(rows))).astype(int)]
     return np.array([log.position[rows], log.command[rows]])

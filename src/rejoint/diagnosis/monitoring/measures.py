@@ -20,8 +20,7 @@ from rejoint.control.comparison.result import position_repeatability
 from rejoint.control.robot import Robot
 from rejoint.control.start import begin
 from rejoint.diagnosis.excitation import Excitation, Plan, fitted, played
-from rejoint.diagnosis.metrics import SETTLED_LAST
-from rejoint.diagnosis.segments import ExcitationLog
+from rejoint.diagnosis.segments import SETTLED_LAST, ExcitationLog
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError, RobotError
 from rejoint.system.progress import Progress, no_progress
