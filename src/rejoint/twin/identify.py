@@ -357,7 +357,7 @@ class Motions:
         seconds = durations(self.windows, self.logs).sum()
         if seconds < SHORTEST:
             raise InputError(
-                f"identification: {seconds:.0f} s of free motion to fit, in stretches of {SHORTEST_STRETCH:g} s and "
+                f"identification: {seconds:.1f} s of free motion to fit, in stretches of {SHORTEST_STRETCH:g} s and "
                 f"more, expected at least {SHORTEST:.0f} s; record longer motions, off table and stops"
             )
         slow = thin(self.windows, self.logs, self.settings.coarse_seconds)

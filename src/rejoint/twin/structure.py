@@ -41,7 +41,7 @@ STARTS = 8
 NEAR = 0.2
 """Relative loss of a good first fit; chosen"""
 EFFORT, TRIALS, WIDER = 3e4, 100, 2.0
-"""Readings times joints of descents from random starts, trials for each, spread over the prior's; chosen"""
+"""Steps times squared joints of descents from random starts, trials for each, spread over the prior's; chosen"""
 DESCENTS = 3
 """Descents for joints whose motion is not explained; measured: 6 are equal"""
 SHORT = 3
@@ -123,7 +123,8 @@ def explored(problem: Problem, x: Array, joints: Mask | None = None) -> Array:
 
     By default from those of all joints and the arm, as many descents as are cheap: with few joints.
     """
-    count = int(EFFORT / (problem.measured.size * problem.joints)) if joints is None else DESCENTS * int(joints.any())
+    rows = max(len(problem.measured), problem.replay.seconds / problem.replay.timestep)  # simulated, or read
+    count = int(EFFORT / (rows * problem.joints**2)) if joints is None else DESCENTS * int(joints.any())
     if count == 0:
         return x
     rng, moved = np.random.default_rng(0), np.ones(problem.joints, dtype=bool) if joints is None else joints
