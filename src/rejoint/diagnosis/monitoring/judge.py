@@ -364,12 +364,11 @@ def _moved_zero(visits: Sequence[PastCheck], j: int) -> MovedZero | None:
 
 
 def _typical(value: Array) -> float:
-    """Size of the first values (T,)."""
     return abs(float(np.median(value[:FEWEST])))
 
 
 def _scatter(name: str, value: Array) -> float:
-    """[mm] sigma of one check's quantity on a steady arm."""
+    """[mm] sigma of one check."""
     return max(SCATTER_MM[name], SCATTER_SHARE * _typical(value))
 
 
@@ -483,10 +482,9 @@ def _error(found: Outlook) -> str:
 def _act(found: Outlook, worst: Change, repair: str) -> str:
     whose = f"the servo of {worst.joint}" if worst.joint else "the servos"
     if worst.better:
-        over = f"; {repair}" if found.over else ""
         return (
-            f"look what was done to {whose}, as it is better than it was; if it was changed or greased, or the hand "
-            f"carries less, check with --moved --repeat 5{over}"
+            f"if {whose} was changed or greased, or the hand carries less, check with --moved --repeat 5; else play or "
+            f"a weaker motor may do it: {repair}"
         )
     if not found.over and found.state != "alarm":
         return "check again within a week; no repair yet"
