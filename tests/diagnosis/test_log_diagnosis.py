@@ -14,7 +14,7 @@ from rejoint.diagnosis import diagnosis as diagnosing
 from rejoint.diagnosis.diagnosis import diagnose_logs
 from rejoint.diagnosis.healthy import reference_by
 from rejoint.diagnosis.metrics import fit_law
-from rejoint.diagnosis.segments import FREE, join_logs, log_of
+from rejoint.diagnosis.segments import FREE, join_logs, log_of, resting_postures
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.exclusions import Exclusions, find_exclusions
 from rejoint.system.errors import InputError
@@ -233,6 +233,13 @@ def states_with_current(dry, phase):
     current[1000:1021] = np.nan  # not read
     log = as_log("states", time, position, np.full_like(position, np.nan))
     return replace(log, current=current, units={"current": "A"})
+
+
+def test_turning_points_are_no_rest():
+    time = np.arange(0.0, 20.0, 0.02)
+    swing = 0.3 * np.sin(np.outer(time, np.full(ARM.joints, 2.0)))
+    log = as_log("swing", time, swing, swing + 0.1)
+    assert resting_postures(log, find_exclusions(ARM, [log])[0]).shape[1] == 0
 
 
 def test_a_joint_that_gives_way_is_named_though_the_arm_never_rests():

@@ -48,6 +48,13 @@ def test_holes_close_together_are_left_out(tmp_path):
     assert [len(log) for log in import_logs(source, ARM, out=tmp_path / "logs").logs] == [ROWS - 2]
 
 
+def test_a_late_stamp_in_fast_motion_is_no_damage():
+    read = 0.00625 * np.arange(2000) + 0.035 * (np.arange(2000) >= 1000)
+    stamped = read + 0.035 * (np.arange(2000) == 999)
+    state, command = (np.tile(np.sin(5.0 * (read - read[999] + ahead)), (5, 1)).T for ahead in (0.0, 0.08))
+    assert to_log(motion(Sample(time=stamped, position=state, command=command)), ARM)[1] == []
+
+
 def test_two_arms_that_take_turns_are_refused():
     position = FOUND.position.copy()
     position[1::2] = -position[1::2] + 0.3
@@ -63,8 +70,9 @@ def test_commands_that_never_change_move_no_arm(row: int):
 def test_a_copied_recording_is_no_further_evidence(tmp_path):
     for name in ("a", "b", "a (copy)"):
         found = FOUND if name != "b" else replace(FOUND, position=FOUND.position + 5 * ARM.encoder_step)
-        (tmp_path / "in").mkdir(exist_ok=True)
-        write_table(tmp_path / "in" / f"{name}.csv", found)
+        folder = tmp_path / "in" / ("later" if name == "b" else "")
+        folder.mkdir(parents=True, exist_ok=True)
+        write_table(folder / f"{name}.csv", found)
     imported = import_logs(tmp_path / "in", ARM, out=tmp_path / "logs")
     assert len(imported.logs) == 2
     assert any("left out, for it holds the same readings as a" in note for note in imported.notes)

@@ -1,10 +1,13 @@
 """Contacts, stops and dead readings, put into logs on purpose."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from motion_logs import ARM, as_log, pressing, record, wandering
 
 from rejoint.arms import tcp_position
+from rejoint.logs.columns import ZEROS
 from rejoint.logs.exclusions import MARGIN, RECOVERY, find_exclusions, table_height
 from rejoint.twin.replay import cut_windows
 from rejoint.twin.twin import TablePlane
@@ -25,6 +28,14 @@ def free():
 def test_without_contact_there_is_no_table(free):
     assert table_height(ARM, [free]) is None
     assert find_exclusions(ARM, [free])[0].free.all()
+
+
+def test_only_a_tip_of_known_height_in_several_places_tells_a_table(touching):
+    assert table_height(ARM, [touching]) == pytest.approx(TABLE.height, abs=0.006)
+    assert table_height(ARM, [replace(touching, extra={ZEROS: "unknown"})]) is None
+    time, command = pressing()
+    command[:, 0] = 0.0
+    assert table_height(ARM, [record("one place", time, command, table=TABLE)]) is None
 
 
 def test_contact_rows_and_the_seconds_after_are_masked(touching):
