@@ -69,7 +69,7 @@ EXPLAINED = 0.5
 """Share of the error above which findings are its cause; chosen"""
 
 AGREE = 1.25
-"""Ratio of torque and load, either way, not named; chosen"""
+"""Ratio of torque and load not named; chosen"""
 
 IN_MOTION = ("low_damping", "lag")
 """Kinds that move no joint from where it rests"""
@@ -257,8 +257,7 @@ def _usual(healthy: HealthyReference | None) -> str:
 def _untold(measurement: Measurement) -> tuple[str, ...]:
     rows, told = measurement.joints, []
     for quantity, words in UNKNOWN.items():
-        asked = [row for row in rows if quantity != "torque_limit_nm" or row.lag_s is not None]
-        joints = [row.joint for row in asked if getattr(row, quantity) is None]
+        joints = [row.joint for row in rows if getattr(row, quantity) is None]
         if joints:
             told.append(words.format("every joint" if len(joints) == len(rows) else ", ".join(joints)))
     over = measurement.torque_over_load or 1.0

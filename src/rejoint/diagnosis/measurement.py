@@ -173,8 +173,6 @@ def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None)
     for joint, (k, motor) in enumerate(_stiffness(arm, slow, ratios, motors)):
         law, dynamics = slow[joint], fast[joint]
         row = _row(data, joint, law, k)
-        data.require(row.hunting_rad is not None, "holds", joint)
-        data.require(row.noise_rad is not None, "readings at rest", joint)
         torque = {} if law is None or k is None else torque_given(data, joint, law, k.value, delay)
         damping = None if dynamics is None else _damping_ratio(dynamics)
         inertia = None if motor is None else motor.value

@@ -163,7 +163,7 @@ _WINDOW = 0.3
 """[s] of a window; chosen"""
 
 COARSEST = 0.11
-"""[s] most between readings: nearly 10 Hz, as of loggers that sleep for 0.1 s; chosen"""
+"""[s] most between readings; chosen"""
 
 _SETTLING = 0.2
 """[s] left out at the start of free stretches; chosen"""
@@ -282,7 +282,7 @@ def _shared(data: ExcitationLog, motion: Averages, joint: int) -> tuple[float, A
 
 
 def _any_masses(data: ExcitationLog, motion: Averages, joint: int) -> tuple[Array, Array]:
-    """`gravity_terms` (N, 4 n) of a motion, and their visible axes (N, m)."""
+    """`gravity_terms` (N, 4 n), and their visible axes (N, m)."""
     columns = gravity_terms(data.arm, interpolated(motion.time, data.log.time, data.log.position), joint)
     axes, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
     return columns, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]
@@ -352,9 +352,9 @@ def gravity_terms(arm: Arm, position: Array, joint: int) -> Array:
 
 
 def fit_effort(data: ExcitationLog, joint: int, *, own: bool = False) -> LinearFit | None:
-    """Fit torque or current to the terms of the law, with the links' inertia; None with too little motion.
+    """Fit torque or current to the law, with the links' inertia; None with too little motion.
 
-    Links of arms outside the catalogue may have any masses, unless they are to be their ``own``.
+    Outside the catalogue by any masses, or by their ``own``.
     """
     motion = _motion(data, joint)
     motion = motion.at((np.abs(motion.direction) > _TURNING) & np.isfinite(motion.effort))
@@ -394,7 +394,7 @@ def followed(data: ExcitationLog, joint: int) -> float | None:
 
 
 def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
-    """[rad] distance that law and friction leave for `SETTLED_LAST` in which the joint comes no nearer."""
+    """[rad] distance that law and friction leave while, for `SETTLED_LAST`, the joint comes no nearer."""
     _, width, _, softness, offset, _ = np.zeros(6) if law is None else law.coefficients
     rows = np.concatenate([data.rows(one) for one in data.of_kind(FREE)])
     time, command, position = (

@@ -168,7 +168,7 @@ QUIET, SETTLED_HOLD = 1.0, 2.0
 """[s] of constant commands of a step or rest, and of a hold that outlasts a swing; chosen"""
 
 SETTLED_LAST = 0.4
-"""[s] of rest, and at the end of a hold or step; chosen"""
+"""[s] of rest, also at the end of a hold; chosen"""
 
 STEP_TIME, STEP_SIZE = 0.15, 0.05
 """[s] and [rad] of a command step; chosen"""

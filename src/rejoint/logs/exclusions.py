@@ -23,7 +23,7 @@ SLOW = 0.05
 LEAST_HELD = 2.0
 """[s] of held rows for a table (chosen)"""
 APART = 0.03
-"""[m] least extent of the places where a table holds a myCobot 280's tip: in one place, friction or a fold may too"""
+"""[m] least extent of places where a table holds a myCobot 280's tip (chosen)"""
 MARGIN = 0.010
 """[m] of contact above the table (measured on a real low-cost arm)"""
 RECOVERY = 3.0
@@ -41,7 +41,7 @@ STOP_TIME = 0.2
 """[s] at a stop (chosen: a reversal is shorter)"""
 
 PAUSE = 0.1
-"""[s] without readings that ends a run, but for slow ones: loggers pause for tens of milliseconds (chosen)"""
+"""[s] least pause that ends a run (chosen)"""
 STALE_TIME = 0.5
 """[s] of constant readings under a moving command (chosen)"""
 STALE_MOTION = np.radians(6.0)
@@ -104,7 +104,7 @@ def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None
 
 
 def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
-    """Height [m] of the tip on a table, or None, also where joints have no known zeros."""
+    """Height [m] of the tip on a table; None without, or without known zeros."""
     places, held, weights, usual = [], [], [], _usual_error(logs)
     for log in logs:
         tip, asked = (tcp_position(arm, q) for q in (log.position, log.command))

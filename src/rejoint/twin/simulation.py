@@ -232,7 +232,7 @@ class TwinRobot:
         return tcp_position(self.arm, self.simulation.twins.qpos)
 
     def stop(self) -> None:
-        """Hold position; stopped twins are not read."""
+        """Hold position."""
 
     def close(self) -> None:
         """Nothing to release."""

@@ -41,7 +41,7 @@ STARTS = 8
 NEAR = 0.2
 """Relative loss of a good first fit; chosen"""
 EFFORT, TRIALS, WIDER = 3e4, 100, 2.0
-"""Steps times squared joints of descents from random starts, trials for each, spread over the prior's; chosen"""
+"""Steps times squared joints of descents from random starts, trials for each, spread over the prior's"""
 DESCENTS = 3
 """Descents for joints whose motion is not explained; measured: 6 are equal"""
 SHORT = 3
