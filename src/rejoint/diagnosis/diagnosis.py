@@ -342,7 +342,7 @@ def _nothing(arm: Arm, measurement: Measurement, rest: Postures, healthy: Health
         return f"No joint shows wear that its encoder can see{left}."
     why = "no joint moves slowly and in both directions for long enough"
     if measurement.period_s > COARSEST:
-        why = f"readings are {measurement.period_s:.2f} s apart, expected at most {COARSEST:g} s"
+        why = f"readings are {measurement.period_s:.3g} s apart, expected at most {COARSEST:g} s"
     return f"Whether the arm is worn cannot be told: {why}."
 
 

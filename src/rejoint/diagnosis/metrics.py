@@ -407,7 +407,7 @@ def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
     runs = free_runs(nearing < AT_REST, time, SETTLED_LAST)
     left = (joint_speed(time, command) >= AT_REST) | (np.diff(time, prepend=time[:1]) > QUIET)
     runs = [(a, b) for a, b in runs if np.append(left, True)[b]]  # before, the joint may be on its way
-    count = round(SETTLED_LAST / data.log.period)
+    count = max(round(SETTLED_LAST / data.log.period), 1)
     stood = [sliding_window_view(np.abs(error[a:b]), min(count, b - a)).min(axis=-1).max() for a, b in runs]
     return float(max(max(stood, default=0.0) - width, 0.0))
 

@@ -269,9 +269,8 @@ def detect(source: Path) -> Format:
         raise FileError(source, "no such file or folder", "check the path")
     with reading(source, "not readable", "check its permissions"):
         places = {name: paths for name, reader in READERS.items() if (paths := reader.found(source))}
-        every = {
-            path for paths in places.values() for path in paths
-        }  # a format may be all parts of another, as of bags
+        # a format may hold nothing but parts of another, as of bags
+        every = {path for paths in places.values() for path in paths}
         fitting = [name for name, paths in places.items() if any(every.isdisjoint(path.parents) for path in paths)]
         found = "" if fitting else describe(source)
     if not fitting:

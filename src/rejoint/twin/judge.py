@@ -168,7 +168,7 @@ def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motion
         return [f"no joint moved by more than {np.degrees(travel):.2g} deg, expected at least {np.degrees(MOVED):g}"]
     period = np.median(np.concatenate([np.diff(log.time) for log in logs]))
     if period > COARSEST:
-        found.append(f"readings are {period:.2g} s apart, expected at most {COARSEST:g} s")
+        found.append(f"readings are {period:.3g} s apart, expected at most {COARSEST:g} s")
     lags = [one for log in logs if (one := find_lag(log.time, log.position, log.command))]
     lag = float(np.median([one.best for one in lags])) if lags else 0.0
     sure = [one.plausible for one in lags if one.sure]
