@@ -269,9 +269,13 @@ def detect(source: Path) -> Format:
         raise FileError(source, "no such file or folder", "check the path")
     with reading(source, "not readable", "check its permissions"):
         places = {name: paths for name, reader in READERS.items() if (paths := reader.found(source))}
-        # a format may hold nothing but parts of another, as of bags
-        every = {path for paths in places.values() for path in paths}
-        fitting = [name for name, paths in places.items() if any(every.isdisjoint(path.parents) for path in paths)]
+        # parts of a bag are none of their own, and first bytes are surer than that it is text
+        sure = {path for name, paths in places.items() if name != "table" for path in paths}
+        fitting = [
+            name
+            for name, paths in places.items()
+            if any(sure.isdisjoint([path, *path.parents][name != "table" :]) for path in paths)
+        ]
         found = "" if fitting else describe(source)
     if not fitting:
         raise FileError(source, f"no log: {found}; expected {_EXPECTED}", "convert it to one of these")
