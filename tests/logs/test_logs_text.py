@@ -1,6 +1,7 @@
 """CSV as spreadsheets, Arduino sketches, NumPy and old programs write it; and the layout that the pages show."""
 
 import re
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -83,10 +84,17 @@ def test_a_line_that_was_cut_is_left_out(tmp_path):
 
 def test_columns_without_titles_are_numbered(tmp_path):
     (tmp_path / "serial.txt").write_text(text("starting ...", *lines(header=False)).replace("starting", "# starting"))
-    numbered = dict(zip(["time_s", *ARM.joint_names], map(str, range(1, 7)), strict=True))
-    numbered |= {f"command.{name}": str(column) for column, name in enumerate(ARM.joint_names, start=7)}
-    options = ImportOptions(angle_unit="rad", columns=numbered)
+    options = ImportOptions(angle_unit="rad", columns={"time_s": "1", "position": "2..6", "command": "7..11"})
     log = import_logs(tmp_path / "serial.txt", ARM, out=tmp_path / "logs", options=options).logs[0]
+    assert log.command.tolist() == FOUND.command.tolist()
+
+
+def test_one_pattern_maps_the_columns_of_every_joint(tmp_path):
+    titles = ["time_s", *(f"{name}_{kind}" for kind in ("actual", "target") for name in ARM.joint_names)]
+    (tmp_path / "log.csv").write_text(text(",".join(titles), *lines(header=False)))
+    options = ImportOptions(columns={"JOINT_rad": "-JOINT_actual", "command.JOINT_rad": "JOINT_target"})
+    log = import_logs(tmp_path / "log.csv", ARM, out=tmp_path / "logs", options=replace(options, force=True)).logs[0]
+    assert log.position.tolist() == (-FOUND.position).tolist()
     assert log.command.tolist() == FOUND.command.tolist()
 
 

@@ -257,6 +257,8 @@ POINTS = ("target", "true_tcp")
 _TITLES, _RECORDERS = NAMES["titles"], NAMES["recorders"]
 """Beginnings of titles by group; units of groups that recorders imply"""
 _PREFIXES = sorted(((one, group) for group, ones in _TITLES.items() for one in ones), key=lambda p: -len(p[0]))
+_EVERY = re.compile(r"\bJOINT(_deg|_rad)?$")
+"""A meaning that stands for every joint"""
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 
 
@@ -340,7 +342,12 @@ class _GroupedColumns:
         self.implied |= dict.fromkeys((*SI, "gain", "powered"), "")
         prefixes = (column.prefix for column in self.columns.values())
         self.implied |= next((_RECORDERS[prefix] for prefix in prefixes if prefix in _RECORDERS), {})
-        mapped = [column for ours, theirs in options.columns.items() for column in self._mapped(ours, theirs)]
+        mapped = [
+            column
+            for ours, theirs in options.columns.items()
+            for one in (arm.joint_names if _EVERY.search(ours) else ("JOINT",))
+            for column in self._mapped(ours.replace("JOINT", one), theirs.replace("JOINT", one))
+        ]
         own = {column.place: column for column in mapped}
         if len(own) < len(mapped):
             raise InputError("--map takes a column twice")
