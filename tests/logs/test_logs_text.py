@@ -91,7 +91,7 @@ def test_columns_without_titles_are_numbered(tmp_path):
 
 def test_one_pattern_maps_the_columns_of_every_joint(tmp_path):
     titles = ["time_s", *(f"{name}_{kind}" for kind in ("actual", "target") for name in ARM.joint_names)]
-    (tmp_path / "log.csv").write_text(text(",".join(titles), *lines(header=False)))
+    (tmp_path / "log.csv").write_text(text(",".join(titles), *lines(header=False)).replace("\n", ",\n"))
     options = ImportOptions(columns={"JOINT_rad": "-JOINT_actual", "command.JOINT_rad": "JOINT_target"})
     log = import_logs(tmp_path / "log.csv", ARM, out=tmp_path / "logs", options=replace(options, force=True)).logs[0]
     assert log.position.tolist() == (-FOUND.position).tolist()

@@ -381,8 +381,8 @@ class _GroupedColumns:
                 f"target.x or true_tcp.x; the joints are {', '.join(self.arm.joint_names)}"
             )
         given, scale, offset = read_linear(theirs, {*titles, *(column.name for column in self.columns.values())})
-        first, _, last = theirs.partition("..")
-        if first in titles and last in titles:
+        first, between, last = theirs.partition("..")
+        if between and first in titles and last in titles:
             places, names = [*range(titles.index(first), titles.index(last) + 1)], self.arm.joint_names
             if joint is not None or len(places) != len(names):
                 raise InputError(f"--map {ours}={theirs}: {len(places)} columns for {len(names)} joints")
