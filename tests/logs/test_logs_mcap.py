@@ -76,7 +76,7 @@ def test_every_number_arrives(tmp_path, kind: str):
 
 def test_without_all_stamps_the_times_of_the_recording_count(tmp_path):
     bare = write_json(tmp_path / "bare.mcap", sample(), stamped=False)
-    imported = import_logs(bare, ARM, out=tmp_path / "logs")
+    imported = import_logs(bare, ARM, out=tmp_path / "logs", options=ImportOptions(force=True))
     assert any("times are those of the recording" in note for note in imported.notes)
     np.testing.assert_allclose(np.diff(imported.logs[0].time), 0.02, atol=1e-9)
     mixed = messages(

@@ -286,6 +286,24 @@ LIMIT_MARGIN = 0.35
 """[rad] beyond calibration and zero offsets"""
 
 
+def without_spikes(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]]:
+    """Leave out single readings that no joint could reach and leave; remarks say so, or doubt all."""
+    value, took = (np.pad(one, ((1, 1), (0, 0)), mode="edge") for one in (motion.position, motion.time[:, None]))
+    out = np.abs(2 * value[1:-1] - value[2:] - value[:-2]) / 2
+    back = (out > SPIKE) & (np.abs(value[2:] - value[:-2]) < 0.5 * out)
+    impossible = back & (out > SPIKE + SHARPEST / 16 * (took[2:] - took[:-2]) ** 2)
+    rows = np.asarray(impossible.any(axis=1))
+    many = len(motion) > 4 * SPEED_ROWS and (rows.mean() > LOST or back.mean() > SPIKED)
+    if not many and not rows.any():
+        return motion, []
+    row, joint = _largest(out * back)
+    said = f"by up to {out[row, joint]:.3g} rad, in {motion.where(row)}, {motion.columns[joint]}"
+    if many:
+        said = f"state: in {100 * back.any(axis=1).mean():.0f} % of the samples joints jump out and back, {said}"
+        return motion, [(f"{said}: as if two arms took turns", "give each arm a file of its own, or mend the values")]
+    return motion.take(~rows), [(f"state: {rows.sum()} sample(s) left out that jump out and back, {said}", "")]
+
+
 def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
     """Check angles against limits and speeds of the arm."""
     excess = np.maximum(motion.position - arm.upper, arm.lower - motion.position)
@@ -306,17 +324,6 @@ def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
 def _check_motion(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
     value, time, long = motion.position, motion.time[:, None], len(motion) > 4 * SPEED_ROWS
     way, steps = np.diff(value, axis=0), np.diff(time, axis=0)
-    out = np.abs(way[:-1] - way[1:]) / 2
-    single = (out > SPIKE) & (np.abs(value[2:] - value[:-2]) < 0.5 * out)
-    if single.any():
-        row, joint = _largest(out * single)
-        said = (
-            f"state: {int(single.sum())} single reading(s) jump out and back, the farthest by {out[row, joint]:.3g} rad"
-            f" in {motion.where(row + 1)}, {motion.columns[joint]}"
-        )
-        if long and single.mean() > SPIKED:
-            yield f"{said}: as if the samples of two arms took turns", "give each arm a file of its own"
-        yield f"{said}; is the file damaged?", ""
     if long:
         speed = np.abs(value[SPEED_ROWS:] - value[:-SPEED_ROWS]) / (time[SPEED_ROWS:] - time[:-SPEED_ROWS])
         usual = np.percentile(speed, 90, axis=0)
