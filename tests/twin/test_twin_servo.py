@@ -7,9 +7,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from rejoint.arms import mycobot280
+from rejoint.logs.exclusions import TORQUE_OFF, powered, unpowered_joints
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.parameters import nominal_parameters
-from rejoint.twin.replay import GAIN, TORQUE_OFF, Replay, at_gain, cut, gains, powered, recorded_gain
+from rejoint.twin.replay import GAIN, Replay, at_gain, cut, gains, recorded_gain
 from rejoint.twin.simulation import ChainBatch, Draw
 from rejoint.twin.table import TableBatch
 
@@ -64,3 +65,5 @@ def test_a_log_without_torque_at_its_end_is_cut_there_and_keeps_its_name(declare
     one = replace(one, extra={TORQUE_OFF: "2.99-9"}) if declared else one
     (kept,) = powered([one])
     assert (kept.label, len(kept)) == ("drop", 150)
+    limp = np.where(np.arange(200)[:, None] < 150, one.position, 9.0 * np.sin(5.0 * one.time)[:, None])
+    assert unpowered_joints(replace(one, position=limp)) == ()

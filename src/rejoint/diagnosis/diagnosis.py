@@ -24,7 +24,7 @@ from rejoint.diagnosis.segments import (
 from rejoint.diagnosis.verdict import RULES, Finding, find
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.consistency import refuse_copies, remarks_on, require_commands, states_alone
-from rejoint.logs.exclusions import Exclusions, answered, declared, find_exclusions, table_height, unpowered_joints
+from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, powered, table_height, unpowered_joints
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
@@ -165,7 +165,7 @@ def diagnose_logs(
     for log in logs:
         log.require(arm)
     refuse_copies(logs, "diagnosis")
-    logs = declared(logs)
+    logs = powered(logs)
     bare = states_alone(logs, "diagnosis")
     if any(log.torque is None and log.current is None for log in logs):
         require_commands(logs, "diagnosis")

@@ -14,6 +14,7 @@ from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.arms.workspace import length_size
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.runlog import RunLog
+from rejoint.system.errors import InputError
 from rejoint.system.records import entity
 
 HELD_UP = 0.005
@@ -47,8 +48,8 @@ STALE_TIME = 0.5
 STALE_MOTION = np.radians(6.0)
 """[rad] of that command (chosen: more than friction hides)"""
 
-UNPOWERED = "unpowered"
-"""Key in ``extra`` for joints without torque"""
+UNPOWERED, TORQUE_OFF = "unpowered", "torque_off"
+"""Keys in ``extra`` for joints without torque, and for spans [s] without: ``3-7.5 12-14``"""
 ASKED = np.radians(3.0)
 """[rad] least travel of a command (chosen)"""
 ANSWERED = 0.1
@@ -152,7 +153,8 @@ def unpowered_joints(log: RunLog) -> tuple[str, ...]:
 
 def _silent(logs: Sequence[RunLog], alike: float = UNRELATED) -> Mask:
     """Joints (n,) that move less than a tenth of the commands' travel, or not ``alike``, in all logs together."""
-    told = [log for log in logs if log.commanded and log.duration > LAGS[-1]]
+    on = [log.rows(np.flatnonzero(~_off(log))) for log in logs]
+    told = [log for log in on if log.commanded and log.duration > LAGS[-1]]
     if not told:
         return np.zeros(len(logs[0].joint_names), dtype=bool)
     groups = ([log.position for log in told], [log.command for log in told])
@@ -164,14 +166,54 @@ def _silent(logs: Sequence[RunLog], alike: float = UNRELATED) -> Mask:
     return found
 
 
-def declared(logs: Sequence[RunLog]) -> list[RunLog]:
-    """Declare joints that answer in none of the logs: in one, few goals agree by chance."""
-    alive = [(np.ptp(log.command, axis=0) >= ASKED) & ~_silent([log], ANSWERING) for log in logs]
-    names = list(compress(logs[0].joint_names, _silent(logs) & ~np.any(alive, axis=0)))
+def powered(logs: Sequence[RunLog]) -> list[RunLog]:
+    """Cut logs at rows without torque, and declare joints that never answer; InputError where nothing is left."""
+    found = []
+    for log in logs:
+        extra = {key: value for key, value in log.extra.items() if key != TORQUE_OFF}
+        edges = np.flatnonzero(np.diff(_off(log), prepend=True, append=True)).reshape(-1, 2).tolist()
+        pieces = [log.rows(slice(a, b)) for a, b in edges if b - a > 2]
+        for number, piece in enumerate(pieces, start=1):
+            label = f"{log.label} ({number})" if len(pieces) > 1 else log.label
+            found.append(replace(piece, label=label, extra=extra))
+    if not found:
+        raise InputError(f"{logs[0].label}: no row in which all joints have torque")
+    # in one log, few goals agree by chance
+    alive = [(np.ptp(log.command, axis=0) >= ASKED) & ~_silent([log], ANSWERING) for log in found]
+    names = list(compress(logs[0].joint_names, _silent(found) & ~np.any(alive, axis=0)))
     if not names:
-        return list(logs)
-    known = [",".join([*names, log.extra.get(UNPOWERED, "")]) for log in logs]
-    return [replace(log, extra=log.extra | {UNPOWERED: one}) for log, one in zip(logs, known, strict=True)]
+        return found
+    known = [",".join([*names, log.extra.get(UNPOWERED, "")]) for log in found]
+    return [replace(log, extra=log.extra | {UNPOWERED: one}) for log, one in zip(found, known, strict=True)]
+
+
+def _off(log: RunLog) -> Mask:
+    """Rows (T,) without torque of a joint that has it in others, or declared."""
+    since, off = log.time - log.time[0], np.zeros(len(log), dtype=bool)
+    if log.gain is not None:
+        off |= ((log.gain == 0.0) & log.gain.any(axis=0)).any(axis=1)
+    for first, last in spans_off(log):
+        off |= (since >= first) & (since <= last)
+    return off
+
+
+def spans_off(log: RunLog) -> list[tuple[float, float]]:
+    """Read the spans [s] without torque."""
+    spans = []
+    for word in log.extra.get(TORQUE_OFF, "").replace(",", " ").split():
+        ends = numbers(log, TORQUE_OFF, word.split("-"))
+        if len(ends) != 2 or not 0.0 <= ends[0] < ends[1]:
+            raise InputError(f"{log.label}: {TORQUE_OFF} {word!r}, expected seconds from and to, such as 3-7.5")
+        spans.append((float(ends[0]), float(ends[1])))
+    return spans
+
+
+def numbers(log: RunLog, key: str, words: Sequence[str]) -> Array:
+    """Read what a log declares as ``key``; InputError."""
+    try:
+        return np.array([float(word) for word in words])
+    except ValueError as error:
+        raise InputError(f"{log.label}: {key} {' '.join(words)!r} is not a number") from error
 
 
 def answered(log: RunLog) -> RunLog:

@@ -15,7 +15,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, tcp_position
 from rejoint.diagnosis.measurement import sag_doubt
 from rejoint.diagnosis.segments import ExcitationLog, join_logs
-from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height, velocity
+from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, powered, table_height, velocity
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
@@ -46,7 +46,6 @@ from rejoint.twin.replay import (
     durations,
     farthest,
     part,
-    powered,
     recorded_gain,
     repeated,
     thin,
@@ -274,7 +273,7 @@ def identify_logs(
     """
     for log in logs:
         log.require(arm)
-    logs = powered(logs)
+    logs = [answered(log) for log in powered(logs)]
     gain = recorded_gain([log for log in logs if GAIN not in log.extra])
     seen, unseen = part(arm, logs, settings.hold_out, settings.seed)  # each twin replays these at its own gain
     motions = Motions(arm, at_gain(seen, gain), settings, table_height(arm, seen))

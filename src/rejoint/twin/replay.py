@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from rejoint.arms import Arm, Array, Index, Mask, gravity_torque
 from rejoint.control.servoreference import ServoReference
 from rejoint.logs.consistency import refuse_copies
-from rejoint.logs.exclusions import Exclusions, answered, declared, find_exclusions, free_runs, table_height, velocity
+from rejoint.logs.exclusions import Exclusions, find_exclusions, free_runs, numbers, spans_off, table_height, velocity
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import interpolated
@@ -227,8 +227,8 @@ class Replay:
         return gravity_torque(self.arm, np.stack(paths))[:, None]
 
 
-GAIN, TORQUE_OFF = "gain", "torque_off"
-"""Keys in `RunLog.extra`"""
+GAIN = "gain"
+"""Key in `RunLog.extra`"""
 
 
 def declare(logs: Sequence[RunLog], key: str, values: Mapping[str, str]) -> list[RunLog]:
@@ -248,7 +248,7 @@ def declare(logs: Sequence[RunLog], key: str, values: Mapping[str, str]) -> list
 def gains(log: RunLog) -> Array:
     """Position gain (n,) of the servos over the twin's."""
     n = len(log.joint_names)
-    found = _numbers(log, GAIN, log.extra.get(GAIN, "1").replace(",", " ").split())
+    found = numbers(log, GAIN, log.extra.get(GAIN, "1").replace(",", " ").split())
     if len(found) not in (1, n) or (found <= 0).any():
         raise InputError(f"{log.label}: {GAIN} {log.extra[GAIN]!r}, expected one number above zero, or {n}")
     return np.broadcast_to(found, (n,))
@@ -269,40 +269,6 @@ def at_gain(logs: Sequence[RunLog], reference: Array | None) -> list[RunLog]:
             log = replace(log, extra=log.extra | {GAIN: " ".join(map(str, own / reference))})
         found.append(log)
     return found
-
-
-def spans_off(log: RunLog) -> list[tuple[float, float]]:
-    """Read the spans [s] without torque."""
-    spans = []
-    for word in log.extra.get(TORQUE_OFF, "").replace(",", " ").split():
-        ends = _numbers(log, TORQUE_OFF, word.split("-"))
-        if len(ends) != 2 or not 0.0 <= ends[0] < ends[1]:
-            raise InputError(f"{log.label}: {TORQUE_OFF} {word!r}, expected seconds from and to, such as 3-7.5")
-        spans.append((float(ends[0]), float(ends[1])))
-    return spans
-
-
-def powered(logs: Sequence[RunLog]) -> list[RunLog]:
-    """Cut logs at spans without torque; joints that never answer get their position as command."""
-    found = []
-    for log in map(answered, declared(logs)):
-        since, off = log.time - log.time[0], np.zeros(len(log), dtype=bool)
-        if log.gain is not None:  # a joint without torque throughout is UNPOWERED
-            off |= ((log.gain == 0.0) & log.gain.any(axis=0)).any(axis=1)
-        for first, last in spans_off(log):
-            off |= (since >= first) & (since <= last)
-        edges = np.flatnonzero(np.diff(off, prepend=True, append=True)).reshape(-1, 2).tolist()
-        pieces = [log.rows(slice(a, b)) for a, b in edges if b - a > 2]
-        for number, piece in enumerate(pieces, start=1):
-            found.append(replace(piece, label=f"{log.label} ({number})" if len(pieces) > 1 else log.label))
-    return found
-
-
-def _numbers(log: RunLog, key: str, words: Sequence[str]) -> Array:
-    try:
-        return np.array([float(word) for word in words])
-    except ValueError as error:
-        raise InputError(f"{log.label}: {key} {' '.join(words)!r} is not a number") from error
 
 
 MOVED = np.radians(2.0)

@@ -16,7 +16,7 @@ from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, s
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import remarks_on, require_commands
-from rejoint.logs.exclusions import answered, declared
+from rejoint.logs.exclusions import TORQUE_OFF, answered, powered
 from rejoint.logs.runfolder import LOGS
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run, exclusive, mark_quick
@@ -42,7 +42,7 @@ from rejoint.system.files import saving, set_aside, write_json
 from rejoint.system.numbers import as_seed
 from rejoint.system.records import Readable, as_options, entity
 from rejoint.system.stopping import noted
-from rejoint.twin.replay import GAIN, TORQUE_OFF, declare
+from rejoint.twin.replay import GAIN, declare
 
 if TYPE_CHECKING:
     from rejoint.training.task import Preset
@@ -217,7 +217,7 @@ def replay(
 
     chosen = arm_of_twin(twin, arm)
     known = as_twin(twin, chosen)
-    motions = list(map(answered, declared(as_logs(logs))))
+    motions = list(map(answered, powered(as_logs(logs))))
     require_commands(motions, "replay")
     page = None
     paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions)
