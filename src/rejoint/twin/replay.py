@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import compress, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -319,10 +319,10 @@ def farthest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) 
     return [windows[i] for i in sorted(order[: np.searchsorted(passed, seconds) + 1].tolist())]
 
 
-FEW_MOTIONS = 4
-"""Motions from which whole ones are held out; chosen"""
 FOLDS = 4
-"""One of as many motions is held out; chosen"""
+"""One of as many programs is held out; chosen"""
+FEWEST_OUT = 2
+"""Motions held out; chosen: an interval takes two"""
 KEPT_END = 0.25
 """Share of a motion held out, halved until `MOSTLY` is left; chosen"""
 GRID, STEPS = 0.2, 10
@@ -338,8 +338,8 @@ def part(
 ) -> tuple[list[RunLog], list[RunLog]]:
     """Split logs into those to fit and those to judge, by label; drawn by default, of few motions the end of each.
 
-    Motion that repeats held-out commands is not fitted, unless named or too little is left. Without hold-out both are
-    all logs. InputError for duplicate, missing or all labels.
+    Motions that repeat one another stay together, unless named. Without hold-out both are all logs. InputError for
+    duplicate, missing or all labels.
     """
     ordered = sorted(logs, key=lambda log: log.label)
     names = [log.label for log in ordered]
@@ -356,15 +356,24 @@ def part(
         if not hold_out:
             return ordered, ordered
         kept = set(hold_out)
-    elif len(ordered) < FEW_MOTIONS:
-        return _ends(ordered)
     else:
-        fold = folds(arm, ordered, FOLDS, seed)
-        drawn = {name for name, number in zip(names, fold, strict=True) if number == 0}
-        again = repeated(ordered, [log for log in ordered if log.label in drawn])
-        kept = drawn | {name for name, same in zip(names, again, strict=True) if same.mean() > MOSTLY}
-        kept = kept if len(kept) < len(names) else drawn
+        programs = _programs(ordered)
+        fold = folds(arm, [logs[0] for logs in programs], FOLDS, seed)
+        kept = {log.label for logs, number in zip(programs, fold, strict=True) if number == 0 for log in logs}
+        if len(programs) < FOLDS or len(kept) < FEWEST_OUT:
+            return _ends(ordered)
     return [log for log in ordered if log.label not in kept], [log for log in ordered if log.label in kept]
+
+
+def _programs(logs: Sequence[RunLog]) -> list[list[RunLog]]:
+    """Put motions together that repeat a first one."""
+    found, left = list[list[RunLog]](), list(logs)
+    while left:
+        first, *others = left
+        again = [same.mean() > MOSTLY for same in repeated(others, [first])]
+        found.append([first, *compress(others, again)])
+        left = [log for log, same in zip(others, again, strict=True) if not same]
+    return found
 
 
 def _ends(logs: Sequence[RunLog]) -> tuple[list[RunLog], list[RunLog]]:
@@ -390,7 +399,8 @@ def repeated(logs: Sequence[RunLog], others: Sequence[RunLog]) -> list[Mask]:
         start, paths = (values[:: STEPS // 2] for values in _stretches(log))
         steps = paths.reshape(len(paths), -1, STEPS)
         motion = np.linalg.norm(steps - steps.mean(axis=-1, keepdims=True), axis=(1, 2))
-        same = start[(motion > MOVED) & (known.query(paths)[0] < ALIKE * motion)]
+        most = ALIKE * np.where(motion > MOVED, motion, 0.0)
+        same = start[known.query(paths, distance_upper_bound=most.max(initial=0.0))[0] < most]
         latest = np.append(-np.inf, same)[np.searchsorted(same, log.time, side="right")]
         found.append(log.time - latest <= STEPS * GRID)
     return found
