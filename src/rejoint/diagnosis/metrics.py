@@ -23,7 +23,7 @@ from scipy import ndimage
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.kinematics import GRAVITY, frames, position_kinematics
 from rejoint.arms.workspace import length_size, torque_size
-from rejoint.diagnosis.regression import LinearFit, fit_trimmed, mean_of
+from rejoint.diagnosis.regression import PER_SET, LinearFit, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import (
     AT_REST,
     FREE,
@@ -232,11 +232,12 @@ def _motion(data: ExcitationLog, joint: int, delays: Array = _NONE, fast: bool =
     chosen = np.abs(found.direction) > _MOVING
     if not fast:
         chosen &= (np.abs(found.speed) < _SLOW) & (np.abs(found.acceleration) < _GENTLE)
-    logs = np.array([log_of(segment) for segment in segments], dtype=np.intp)
+    logs = PER_SET * np.array([log_of(segment) for segment in segments], dtype=np.intp)
     segment, piece = np.divmod(found.cluster, 1000)  # pieces of half of `_LONG`
     pieces = 1 if fast else 2 if data.of_kind(SWEEP) else 4  # an excitation turns back every few seconds
     loaded = len(found.gravity) > 0 and np.ptp(found.gravity) > _MIN_TORQUE_RANGE * torque_size(data.arm)
-    found = found._replace(cluster=1000 * segment + piece // pieces, gravity=found.gravity * loaded).at(chosen)
+    cluster = logs[segment] + 1000 * segment + piece // pieces
+    found = found._replace(cluster=cluster, gravity=found.gravity * loaded).at(chosen)
     by_log = found._replace(cluster=logs[segment[chosen]])  # each log one observation, where enough of them tell
     return by_log if by_log.enough else found
 

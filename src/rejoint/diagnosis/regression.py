@@ -5,11 +5,14 @@ quantiles are Student's.
 """
 
 import numpy as np
+from scipy.special import fdtri
 
 from rejoint.arms import Array, Index, Mask
 from rejoint.system.records import entity
-from rejoint.system.statistics import Estimate, student95
+from rejoint.system.statistics import CONFIDENCE, Estimate, student95
 
+PER_SET = 10**9
+"""Clusters of a set, such as a recording"""
 _LAD_ROUNDS = 12
 """Reweightings of least absolute deviations; measured: converged to a percent of an interval"""
 
@@ -33,21 +36,28 @@ class LinearFit:
 
 
 def fit_clustered(design: Array, response: Array, cluster: Index) -> LinearFit:
-    """Fit ``response`` (N,) on ``design`` (N, p), grouped by ``cluster`` (N,)."""
+    """Fit ``response`` (N,) on ``design`` (N, p), grouped by ``cluster`` (N,), with `PER_SET` numbers in a set."""
     scale = np.sqrt((design**2).mean(axis=0))
     scale = np.where(scale > 0.0, scale, 1.0)  # a column of zeros keeps the coefficient 0
     scaled = design / scale
     inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
     beta = inverse @ (scaled.T @ response)
-    residual = response - scaled @ beta
-    groups = np.unique(cluster)
-    scores = np.array([scaled[cluster == g].T @ residual[cluster == g] for g in groups])
-    count, (rows, terms) = len(groups), design.shape
-    factor = count / max(count - 1, 1) * (rows - 1) / max(rows - terms, 1)
-    covariance = factor * inverse @ (scores.T @ scores) @ inverse
-    return LinearFit(
-        coefficients=beta / scale, covariance=covariance / np.outer(scale, scale), freedom=max(count - terms, 1)
-    )
+    (rows, terms), residual = design.shape, response - scaled @ beta
+
+    def spread(cluster: Index) -> tuple[Array, int]:
+        groups = np.unique(cluster)
+        scores = np.array([scaled[cluster == g].T @ residual[cluster == g] for g in groups])
+        factor = len(groups) / max(len(groups) - 1, 1) * (rows - 1) / max(rows - terms, 1)
+        return factor * inverse @ (scores.T @ scores) @ inverse, len(groups)
+
+    (covariance, count), (between, sets) = spread(cluster), spread(cluster // PER_SET)
+    freedom, wider = max(count - terms, 1), np.ones(terms)
+    if 1 < sets < count:
+        ratio = np.diag(between) / np.maximum(np.diag(covariance), 1e-300)
+        apart = ratio > fdtri(sets - 1, freedom, CONFIDENCE)  # sets that differ measurably are the observations
+        wider = np.where(apart, np.sqrt(ratio) * student95(sets - 1) / student95(freedom), 1.0)
+    covariance = covariance * np.outer(wider / scale, wider / scale)
+    return LinearFit(coefficients=beta / scale, covariance=covariance, freedom=freedom)
 
 
 def fit_believed(design: Array, response: Array, believed: Array) -> tuple[Array, Array]:
