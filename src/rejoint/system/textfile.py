@@ -22,7 +22,7 @@ DAMAGED = 0.02
 """Largest share of damaged numbers (chosen)"""
 ANGLES = {"deg": np.pi / 180.0, "rad": 1.0}
 """[rad] units of angles in titles"""
-LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
+LENGTHS = {"mm": 1e-3, "um": 1e-6, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
 """[m] units of lengths in titles"""
 COUNT = {"": 1.0}
 """Of numbers without a unit"""
@@ -45,7 +45,7 @@ _SHOWN = 24
 _EMPTY = ("", "-", "null", "none", "na", "n/a", "#n/a")
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]")
-_UNIT = re.compile(r"(?P<name>.+?)(?:_|\s*[\[(]\s*)(?P<unit>[^\W_]+)\s*[\])]?$")
+_UNIT = re.compile(r"(?P<name>.+?)(?:[_ /]|\s*[\[(]\s*)(?P<unit>[^\W_]+)\s*[\])]?$")
 # What spreadsheets of some languages, such as Swedish, write before a negative number
 _MINUS = "\N{MINUS SIGN}"
 _REMEDY = "mend the line or take another file"
@@ -133,7 +133,7 @@ def shown(titles: Sequence[str]) -> str:
 
 
 def split_unit(title: str, units: Collection[str]) -> tuple[str, str | None]:
-    """Split ``elbow_deg``, ``elbow [DEG]`` or ``elbow (deg)`` into name and unit, or None."""
+    """Split ``elbow_deg``, ``elbow deg``, ``elbow/deg`` or ``elbow [DEG]`` into name and unit, or None."""
     found, known = _UNIT.match(title.replace("°", "deg")), {unit.casefold(): unit for unit in units}
     if found and (unit := known.get(found["unit"].casefold())):
         return found["name"], unit
