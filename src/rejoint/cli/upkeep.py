@@ -53,12 +53,22 @@ def calibrate(
 ) -> object:
     """Measure where the tool really is, and correct for what the encoders do not see, where that helps."""
     kind, _, what = (measure or "").partition("=")
-    if kind != "camera" and (board is not None or board_on != "tool"):
-        raise InputError("--board and --board-on go with --measure camera")
-    if kind in ("", "camera") and frame != "base":
-        raise InputError("--frame goes with --measure points=FILE, touch or tracker=FILE")
     if kind == NO_GAUGE:
         raise InputError("--measure none goes with repair; name what measures, or leave it out")
+    pictures = kind == "camera" and what and not (what.isdecimal() or what == EMULATED)
+    given = {
+        "board": board,
+        "board-on": board_on != "tool",
+        "frame": frame != "base",
+        "unit": unit != "mm",
+        "count": count,
+        "once": once,
+        "noise": noise != 1e3 * NOISE,
+    }
+    for option in filter(given.get, given):
+        kinds = _WITH[option]
+        if (PICTURES if pictures else kind) not in kinds:
+            raise InputError(f"--{option} goes with --measure {' or '.join(filter(None, kinds))}")
     if run.exists():
         job = Run.open(run).seeded(call.settings.seed)
     else:
@@ -67,8 +77,8 @@ def calibrate(
     means = Means(frame=frame, unit=unit, sigma=1e-3 * noise, board=board, carried=PLACES[board_on])
     about = {"run": job, "settings": settings}
     if kind == "points":
-        about["gauge"] = read_measurements(Path(what), job.arm, frame=frame)
-    elif kind == "camera" and what and not (what.isdecimal() or what == EMULATED):
+        about["gauge"] = read_measurements(Path(what), job.arm, frame=frame, sigma=means.sigma)
+    elif pictures:
         from rejoint.camera.film import read_folder
 
         about["gauge"] = read_folder(what, job.arm, means.pattern(), means.carried)
@@ -103,7 +113,16 @@ def calibrate(
 
 SECONDS = 4.0
 """[s] of the arm for one measurement (measured, docs/true-accuracy.md)"""
-EMULATED = "emulated"
+EMULATED, PICTURES = "emulated", "camera=PICTURES"
+_VISITING, _PLACED = ("", "touch", "camera", "tracker"), ("points", "touch", "tracker")
+_WITH = {
+    **dict.fromkeys(("board", "board-on"), ("camera", PICTURES)),
+    **dict.fromkeys(("count", "once"), _VISITING),
+    "frame": _PLACED,
+    "unit": ("tracker",),
+    "noise": ("", *_PLACED),
+}
+"""Ways of measuring that an option goes with; "": an emulated tracker"""
 PLACES = {"tool": "board", "table": "camera"}
 """Where the board is, and what the tool carries then"""
 BOARD = Path("board.toml")

@@ -149,11 +149,11 @@ def read_interrupted(path: Path, arm: Arm) -> tuple[Measurements, MeasuringSessi
     return None if found.session is None else (found.measured, found.session)
 
 
-def read_measurements(path: Path, arm: Arm, *, frame: str = "base") -> Measurements:
-    """Read JSON, or text with columns, measured in ``frame``; FileError if unusable."""
+def read_measurements(path: Path, arm: Arm, *, frame: str = "base", sigma: float = NOISE) -> Measurements:
+    """Read JSON, or text with columns, measured in ``frame`` within ``sigma`` [m] unless it says so; FileError."""
     if path.suffix.lower() == ".json":
         return _of(path, arm).measured
-    return _from_csv(path, arm, frame)
+    return _from_csv(path, arm, frame, sigma)
 
 
 BEYOND = np.radians(10.0)
@@ -171,7 +171,7 @@ def require_degrees(path: Path, position: Array) -> None:
         raise FileError(path, "every joint position lies between -3.14 and 3.14", "give degrees, not radians")
 
 
-def _from_csv(path: Path, arm: Arm, frame: str) -> Measurements:
+def _from_csv(path: Path, arm: Arm, frame: str, sigma: float) -> Measurements:
     joints = joint_columns(arm)
     meanings = dict.fromkeys(joints, ANGLES) | dict.fromkeys((*AXES, "sigma"), LENGTHS) | {"posture": COUNT}
     found, lines = read_columns(path, meanings, joints, {*joints, "sigma", "posture"}, most=SHEET_MOST)
@@ -188,7 +188,7 @@ def _from_csv(path: Path, arm: Arm, frame: str) -> Measurements:
         measured = Measurements(
             position=position,
             point=point,
-            sigma=columns.get("sigma", np.full(len(lines), NOISE)),
+            sigma=columns.get("sigma", np.full(len(lines), sigma)),
             posture=columns.get("posture", np.arange(len(lines))),
             frame=frame,
             source="tracker",
