@@ -141,6 +141,8 @@ def test_a_history_grows_and_begins_anew(tmp_path):
     assert once(10).outlook.checks == 2
     repaired = replace(find_rows(tmp_path)[0][0], kind="repair", time=BEGIN + timedelta(days=315), settled_mm=0.5)
     write_rows(tmp_path / "run" / SUMMARY, [repaired])
+    with pytest.raises(InputError, match="later date"):
+        once(10.3)
     assert once(11).outlook.checks == 1
     (tmp_path / "run" / SUMMARY).unlink()
     assert once(11.5).line.startswith("The run of its last repair is gone")
@@ -149,7 +151,7 @@ def test_a_history_grows_and_begins_anew(tmp_path):
     assert changed.outlook.checks == 1
     assert read_rows(changed.folder / SUMMARY)[0].norm == "set up"
     assert changed.line.startswith("A new norm begins, as the arm is described otherwise")
-    with pytest.raises(InputError, match=r"later date.*delete that check in .*checks.mycobot280-emulated-healthy"):
+    with pytest.raises(InputError, match="later date.*delete"):
         once(3)
 
 

@@ -28,7 +28,7 @@ from rejoint.logs.history import (
     write_rows,
 )
 from rejoint.logs.journal import recover
-from rejoint.runs.history import MOVED, SET_UP, past_of, rows_of, with_outlook
+from rejoint.runs.history import MOVED, REPAIR, SET_UP, owners, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS, staged
 from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of, to_keep
 from rejoint.session.session import ArmSession
@@ -156,11 +156,13 @@ def check(
     begins = MOVED if said.moved else SET_UP if past.setup not in ("", head.setup) else ""
     visits, left = () if begins else past.visits, None if begins == SET_UP else past.left_mm
     mine = [row for row in rows if row.arm == head.arm and row.kind == "check" and not row.joint]
-    if mine and mine[-1].time >= head.time:
+    owner = owners([*rows, head])
+    last = max((row.time for row in rows if row.kind in ("check", REPAIR) and owner(row) == head.arm), default=None)
+    if last and last >= when:
         raise InputError(
-            f"check: the history of {head.arm} has a check of {mine[-1].time:%Y-%m-%d %H:%M} already, expected a later "
-            f"date than that, got {head.time:%Y-%m-%d %H:%M} (UTC): set the clock right; if it was wrong then, delete "
-            f"that check in {home / CHECKS / head.arm}"
+            f"check: the history of {head.arm} has a check or repair of {last:%Y-%m-%d %H:%M} already, expected a "
+            f"later date than that, got {when:%Y-%m-%d %H:%M} (UTC): set the clock right; if it was wrong then, "
+            f"delete the folder of that one in {home}"
         )
     tolerance = mine[-1].tolerance_mm if tolerance_mm is None and mine else tolerance_mm
     if chosen.seed is None:
