@@ -490,7 +490,7 @@ def _act(found: Outlook, worst: Change, repair: str) -> str:
         return "check again within a week; no repair yet"
     if worst.quantity == "deviation":
         return f"look whether {worst.joint} has slipped or was set again (then check with --moved); else {repair}"
-    return f"{repair}; if it stays, change {whose}"
+    return f"{repair}; if the tool misses its tolerance then, change {whose}"
 
 
 def _day(time: datetime) -> str:
