@@ -300,9 +300,10 @@ def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array,
     if abs(larger) > max(_STRETCH if len(tool) >= _MANY else _ROUGH, SURE * np.sqrt(found.covariance[-1, -1])):
         raise InputError(
             "the pictures do not fit the joint positions: the squares of the board seem to measure "
-            f"{max(drawn * (1.0 + larger), 0.0):.1f} mm, expected {drawn:.1f}. Measure the rulers of this print, and "
-            "describe it with `rejoint board FILE --measured-x MM --measured-y MM`. Or check that each picture is "
-            "paired with its own joint positions, in degrees, and whether the board is on the tool or on the table"
+            f"{max(drawn * (1.0 + larger), 0.0):.1f} mm, expected {drawn:.1f}. Either camera or board was shifted "
+            "between the pictures: take them again. Or the print has another size: measure its rulers, and describe it "
+            "with `rejoint board FILE --measured-x MM --measured-y MM`. Or the joint positions, in degrees, are "
+            "those of other pictures, or --board-on is wrong"
         )
     return rig
 
