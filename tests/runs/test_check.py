@@ -151,7 +151,7 @@ def test_a_history_grows_and_begins_anew(tmp_path):
     assert changed.outlook.checks == 1
     assert read_rows(changed.folder / SUMMARY)[0].norm == "set up"
     assert changed.line.startswith("A new norm begins, as the arm is described otherwise")
-    with pytest.raises(InputError, match="later date.*delete"):
+    with pytest.raises(InputError, match=r"later date.*delete"):
         once(3)
 
 
