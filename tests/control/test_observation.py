@@ -138,7 +138,7 @@ def test_the_homing_motion_leaves_the_tool_in_place_to_first_order():
 
 
 def test_authority_worked_by_hand():
-    law = CommandLaw()
+    law = CommandLaw(authority_floor=float(np.radians(0.12)))
     steps = np.zeros((3, 6))
     steps[1, 2], steps[2, 4] = np.radians(-2.0), np.radians(30.0)
     largest = np.abs(steps).max(axis=1, keepdims=True)
@@ -146,7 +146,7 @@ def test_authority_worked_by_hand():
 
 
 def test_command_law_worked_by_hand():
-    law = CommandLaw()
+    law = CommandLaw(authority_floor=float(np.radians(0.12)))
     position = ARM.rest[None]
     view = look(ARM, position, tcp_position(ARM, position), position)._replace(
         step=np.radians([[2.0, 0, 0, 0, 0, -1.0]])

@@ -15,7 +15,7 @@ from standin import inputs_of, state_of
 
 ARM = mycobot280()
 STIFFNESS = (5.0, 6.0, 7.0, 4.0, 5.0, 6.0)
-LAW = CommandLaw(loosen=0.0, anchor="goal", stiffness=STIFFNESS)
+LAW = CommandLaw(loosen=0.0, anchor="goal", stiffness=STIFFNESS, authority_floor=0.002)
 EVERY = np.ones(2, dtype=bool)
 NOTHING = np.zeros((2, 6))
 MOVES = np.array([1, 1, 1, 1, 1, 0])  # the last joint only turns the tool, and is left alone

@@ -79,6 +79,9 @@ class TaskSettings:
 POSTURE_WEIGHT = 0.2
 """[1/rad^2] cost of the null-space distance from rest; chosen: without it policies drift to the limits"""
 
+EXPLORED = float(np.radians(0.24))
+"""[rad] step below which authority does not fall in training; chosen: half of it is just above an encoder count"""
+
 DRAWN = 16
 """Postures that are drawn until an arm lifts one; chosen"""
 
@@ -125,7 +128,9 @@ class ReachTask:
         self.arm, self.ranges, self.settings, self.agents = arm, ranges, settings, agents
         self.simulation = Simulation(arm, agents, threads=threads)
         self.observer = Observer(arm, agents, settings.layout)
-        self.commander = Commander(arm, replace(settings.law, loosen=0.0))  # exploring arms are never stuck for long
+        law = settings.law  # exploring arms are never stuck for long
+        law = replace(law, loosen=0.0, authority_floor=max(law.authority_floor, EXPLORED * law.authority_slope))
+        self.commander = Commander(arm, law)
         self.privileged_size = 8 * (n + 1)
         self._limits, self._no_speed = GuardLimits.of(arm).of_simulation(), np.zeros((agents, n))
         self._rng = np.random.default_rng(seed)

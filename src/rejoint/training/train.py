@@ -159,7 +159,6 @@ def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
         law,
         stiffness=tuple(np.round(stiffness, 6).tolist()),
         learning=replace(law.learning, rate=law.learning.rate / size),
-        authority_floor=law.authority_floor / size,
         authority_slope=law.authority_slope / size,
         authority_limit=law.authority_limit / size,
     )

@@ -232,8 +232,8 @@ class CommandLaw:
     step_gain: Constant = GAIN
     step_limit: Constant = float(STEP_LIMIT)
     """[rad] largest element"""
-    authority_floor: Constant = float(np.radians(0.12))
-    """[rad] least authority (chosen: just above an encoder count)"""
+    authority_floor: Constant = 0.0
+    """[rad] least authority; above 0, policies move the arm away from its target"""
     authority_slope: Constant = 0.5
     """authority over the largest element of the step"""
     authority_limit: Constant = float(np.radians(4.0))
