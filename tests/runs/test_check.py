@@ -144,8 +144,6 @@ def test_a_history_grows_and_begins_anew(tmp_path):
     with pytest.raises(InputError, match="later date"):
         once(10.3)
     assert once(11).outlook.checks == 1
-    (tmp_path / "run" / SUMMARY).unlink()
-    assert once(11.5).line.startswith("The run of its last repair is gone")
     other = replace(ARM, mass=1.1 * ARM.mass)
     changed = once(12, arm=other)
     assert changed.outlook.checks == 1

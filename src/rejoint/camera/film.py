@@ -3,7 +3,7 @@
 Columns of ``postures.csv`` beside pictures: ``picture``, ``position.JOINT_deg``; optional ``posture``.
 
 OpenCV finds the lens and the poses of the board; one fit refines them with the arm's displacement. Views that do not
-fit are left out; a bent board is refused: it makes focal lengths wrong.
+fit are left out; a bent board is refused.
 """
 
 from __future__ import annotations

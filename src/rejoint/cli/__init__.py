@@ -1,6 +1,6 @@
 """The command line: one command per stage, and `repair` for the whole chain.
 
-Exit codes: 0 done; 1 a bug, here or in another package's driver; 2 unusable input; 3 the guard stopped the motion; 4
+Exit codes: 0 done; 1 a bug; 2 unusable input; 3 the guard stopped the motion; 4
 the robot failed; 5 targets not reached, or the path not followed; 6 the arm drifts; 7 alarm, or the tolerance is
 reached; 128 and the number of the signal (130 Ctrl-C, 143 SIGTERM). Results go to standard output, everything else to
 standard error.

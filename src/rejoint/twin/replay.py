@@ -1,8 +1,8 @@
 """Open-loop replay of run logs by twins; windows of logs, and motions that are held out.
 
 Windows start from the measured state and run as one batch. The delay contains the age of the reading. A log may declare
-(`RunLog.extra`) ``gain``, the servos' position gain over the twin's (``0.5`` or ``1 0.5 1``), and ``torque_off``, spans
-[s] without torque (``3-7.5 12-14``). Joints that never answer stay at the measured position.
+(`RunLog.extra`) ``gain``, the servos' position gain over the twin's (``0.5`` or ``1 0.5 1``). Joints that never answer
+stay at the measured position.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ Adaptive regulation: Tomei, IEEE Trans. Robotics and Automation 7(4), 1991: PD p
 ``dp/dt = G Y' (2 e / (1 + 2 e'e) - m v)``. The servo is the PD law: the command gets ``load / k + mass * lever / k +
 offset``. Dead zone: Peterson and Narendra, IEEE Trans. Automatic Control 27(3), 1982.
 
-Gains (``rivals.toml``) are numbers or (B, 1). CMA-ES (Hansen, arXiv:1604.00772) searches their logarithms on randomised
+CMA-ES (Hansen, arXiv:1604.00772) searches logarithms of gains (``rivals.toml``) on randomised
 twins, by the time to stay within 2 mm plus the settled error.
 """
 

@@ -1,7 +1,6 @@
 from dataclasses import replace
 
 import numpy as np
-from evaluation_samples import outcome
 
 from rejoint.arms import mycobot280
 from rejoint.control.comparison.result import Protocol
@@ -11,10 +10,7 @@ from rejoint_lab.research.evaluation.evaluate import (
     Contestant,
     Evaluation,
     evaluate,
-    judged,
     outcome_path,
-    terminal_tables,
-    together,
 )
 from rejoint_lab.research.evaluation.family import ArmFamily, family_targets, find_variant, open_family
 
@@ -36,20 +32,6 @@ def test_an_arm_of_a_family_does_not_depend_on_how_many_there_are():
 def test_families_share_no_arm():
     seeds = [set(ArmFamily(arms=10_000, seed=s).wear_seeds) for s in range(3)]
     assert not (seeds[0] & seeds[1]) | (seeds[1] & seeds[2]) | (seeds[0] & seeds[2])
-
-
-def test_the_best_rival_is_the_soonest_and_not_a_policy():
-    stays = {"slow": 2.0, "fast": 1.5, "p": 1.0}
-    found = {n: [outcome(np.full((3, 2), 0.3), np.full((3, 2), s))] for n, s in stays.items()}
-    found["p"] *= 2  # seeds
-    compared = {"worn": together(found, np.zeros((3, 2, 3)), FAMILY)}
-    result = judged(FAMILY, compared, ("p",))
-    assert result.best == {"worn": "fast"}
-    assert {pair.rival for pair in result.pairs} == {"slow", "fast"}
-    assert [row.held for row in compared["worn"].rows] == [6, 6, 12]
-    tables = terminal_tables(result)
-    assert len(tables) == 2
-    assert tables[1][2][0][1] == "p against fast"
 
 
 def test_the_same_command_takes_over_what_is_done_and_what_lies_on_disk_is_the_result(tmp_path):

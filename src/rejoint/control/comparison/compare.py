@@ -1,8 +1,8 @@
 """Try every controller on one arm, with the same targets and start.
 
-Emulated arms run all trials of a controller as one batch with equal noise. A real arm runs them in random order. There,
-controllers leave after three misses in a row, or by a paired t-test on logarithms of settled errors after each block
-(Maron and Moore, Hoeffding races, NIPS 1993; Bonferroni's level).
+Emulated arms run all trials of a controller as one batch with equal noise, a real arm in random order. There,
+controllers leave after three misses in a row, or by a paired t-test after each block (Maron and Moore, Hoeffding races,
+NIPS 1993; Bonferroni's level).
 """
 
 from collections.abc import Callable, Mapping

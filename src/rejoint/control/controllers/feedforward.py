@@ -214,7 +214,7 @@ class FeedforwardController:
 
 @value_type
 class CommandLaw:
-    """Constants of a learned policy's law, part of a contract: a classical law plus a bounded correction.
+    """Constants of a policy's law, part of a contract: a classical law plus a bounded correction.
 
     Park et al. 2024, equation 17: next command = position + damped least-squares step + action. The ``anchor`` is what
     the action is added to. ``measured``: the measured position, as printed. ``goal``: the command of the feed-forward

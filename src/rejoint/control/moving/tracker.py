@@ -1,6 +1,6 @@
 """The tracker: postures on a path, commands by the twin's inverse ahead of time, and an observer of disturbances.
 
-The posture nearest to the arm's home depends on the place alone, so nothing drifts. Deviation x of a joint:
+The posture nearest to the arm's home depends on the place alone. Deviation x of a joint:
 ``M x'' + D x' + k x = k (u + d)``; u was sent beyond the inverse, ``delay`` ago. A stationary Kalman filter estimates
 x, x' and the disturbance d. The command subtracts d, and adds stiffness and damping.
 """

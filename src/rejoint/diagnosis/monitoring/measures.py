@@ -1,4 +1,4 @@
-"""The motion of a check, two to three minutes, and what it measures by encoders.
+"""The motion of a check, and what it measures by encoders.
 
 Every other joint sweeps slowly, then the rest; the tool visits the poses of ISO 9283:1998, five times from both sides.
 

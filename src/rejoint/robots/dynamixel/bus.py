@@ -1,7 +1,7 @@
 """An arm of Dynamixel X servos: one synchronous read of all, in one packet where they can, and one write per cycle.
 
 Registers that outlast the power are never written. What the driver changes in the others is put back when it closes,
-but for the bus watchdog, which would trip as soon as the bus is quiet. With it off, a servo holds its last goal.
+but for the bus watchdog, which would trip as soon as the bus is quiet.
 """
 
 import contextlib

@@ -190,8 +190,6 @@ def check(
                 line = (
                     f"A new norm begins, as the arm is described otherwise ({head.model}) than before ({then}). {line}"
                 )
-            elif left is None and mine and mine[-1].controlled_mm:
-                line = f"The run of its last repair is gone, and this counts as if it had not been. {line}"
             result = Checked(
                 arm=head.arm, robot=address, line=line, outlook=found, measures=measures, folder=folder, unread=unread
             )

@@ -1,8 +1,6 @@
 """What the experiments measure.
 
-Table 1: the paper's and the vendor's DH tables are equal. Fig. 10: three pairs of P and D in the twin. Figs. 11 and 12:
-policies at the paper's task, on randomised twins that no training has seen. Fig. 9, Table 3 and Table 4: controllers on
-a healthy and on a worn arm, by the trials of all evaluations.
+Figs. 11 and 12: policies at the paper's task, on randomised twins that no training has seen.
 """
 
 from collections.abc import Mapping, Sequence
