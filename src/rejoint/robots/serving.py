@@ -1,4 +1,4 @@
-"""An arm offered on the myCobot's own wire, with a controller behind it: its computer, answers and log.
+"""An arm offered on the myCobot's own wire, with a controller behind: its computer, answers and log.
 
 The computer plans moves as the vendor's. The control loop calls `ServedArm.advance`; the server's thread carries out
 orders. Clients see a perfect arm whose tool is where this one's is. Orders that would let the arm fall or move its
