@@ -33,6 +33,7 @@ def dated(line: str) -> str:
 
 WAYS: dict[str, tuple[bytes, str]] = {
     "plain": (text(*lines()).encode(), ""),
+    "windows": (text(*lines(), end="\r\n").encode("utf-8-sig"), ""),
     "utf-16": (text(*lines()).encode("utf-16"), "UTF-16, columns parted by commas"),
     "utf-16 without its mark": (text(*lines()).encode("utf-16-be"), "UTF-16"),
     "latin-1": (text("# Prüfstand 3, Temperatur 21 °C", *lines()).encode("latin-1"), "Latin-1"),
