@@ -62,6 +62,12 @@ def test_an_action_is_remembered_until_the_arm_is_exchanged():
     np.testing.assert_allclose(after[1], pushed[1], atol=1e-12)
 
 
+def test_at_the_target_no_action_moves_the_arm():
+    commander, now = begun(law=replace(LAW, authority_floor=0.0))
+    before = command(commander, now, NOTHING)
+    np.testing.assert_array_equal(command(commander, now, np.ones((2, 6))), before)
+
+
 def learned_part(away: float) -> tuple[np.ndarray, np.ndarray]:
     """What a commander has learned (n,) [rad], and what is left of it at a new target ``away`` [m]."""
     (moved, now), (fresh, _) = begun(), begun()

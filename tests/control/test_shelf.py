@@ -26,6 +26,7 @@ def test_it_is_for_any_unit_of_its_build_at_every_period_of_its_wires(name):
     contract = shelf_policy(load_arm(name)).contract
     assert contract.arm == name
     assert contract.twin_digest == ""  # of no single arm
+    assert contract.law.authority_floor == 0.0  # at the target an action would be noise
     for address in ("tcp://arm", "serial:///dev/arm", "emulated:worn", "feetech:///dev/arm"):
         check_controller_period(SimpleNamespace(contract=contract), np.mean(place_of(address).default_period))
     assert shelf_path(name).stat().st_size < 150e3

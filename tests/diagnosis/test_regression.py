@@ -1,9 +1,10 @@
 """Fits against known truth, intervals against their promise."""
 
 import numpy as np
+import pytest
 import scipy.stats
 
-from rejoint.diagnosis.regression import fit_clustered, fit_trimmed
+from rejoint.diagnosis.regression import PER_SET, fit_clustered, fit_trimmed
 
 
 def test_noiseless_fit_is_exact():
@@ -27,6 +28,19 @@ def test_clustered_intervals_cover_where_plain_ones_do_not():
         plain += abs(line.slope - 0.5) <= 1.97 * line.stderr
     assert clustered / 300 > 0.85
     assert plain / 300 < 0.6
+
+
+@pytest.mark.parametrize(("differ", "covers"), [(0.3, (0.9, 1.0)), (0.0, (0.85, 1.0))])
+def test_recordings_that_differ_are_the_observations(differ, covers):
+    rng = np.random.default_rng(3)
+    recording, inside = np.repeat(np.arange(6), 200), 0
+    cluster = recording * PER_SET + np.tile(np.repeat(np.arange(20), 10), 6)
+    for _ in range(200):
+        x = rng.normal(size=1200)
+        y = (0.5 + differ * rng.normal(size=6))[recording] * x + rng.normal(size=1200)
+        estimate = fit_clustered(x[:, None], y, cluster).estimate(0)
+        inside += estimate.low <= 0.5 <= estimate.high
+    assert covers[0] <= inside / 200 <= covers[1]
 
 
 def test_trimmed_fit_forgets_a_third_of_stuck_samples():
