@@ -99,3 +99,9 @@ def test_what_is_left_out_is_completed_and_named(tmp_path: Path) -> None:
     assert "limits: none usable for lift, elbow; +-180 deg assumed" in loaded.notes
     assert sum("no mass; estimated" in note for note in loaded.notes) == 2
     assert loaded.arm.mass[0] == 0.5
+
+
+def test_a_given_mass_counts_however_unlikely(tmp_path: Path) -> None:
+    loaded = read_arm(write(tmp_path, SHOULDER + JOINTS.replace("= 0.5", "= 500")))
+    assert loaded.arm.mass[0] == 500.0
+    assert any("500 kg in all" in note for note in loaded.notes)

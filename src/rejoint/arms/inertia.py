@@ -24,8 +24,11 @@ LINK_DENSITY = 1000.0
 DENSEST = 20000.0
 """[kg/m^3] upper bound (tungsten: 19300)"""
 
-IMPLAUSIBLE_MASS_RATIO = 100.0
-"""over the estimate, or its inverse square: a placeholder (chosen)"""
+PLACEHOLDER = 1e-4
+"""Masses below this share of a solid link count as none (chosen)"""
+
+UNLIKELY = 100.0
+"""Factor between the masses of an arm and of solid links that may be a wrong unit (chosen)"""
 
 ROUNDING = 0.05
 """of the triangle inequality (chosen)"""
@@ -88,7 +91,7 @@ def link_ends(arm: Arm) -> Array:
 
 
 def plausible(arm: Arm, notes: list[str]) -> Arm:
-    """Replace impossible masses, with a note each; a mass of zero and an inertia of NaN are unknown."""
+    """Estimate absent masses and impossible inertias, with a note each; an inertia of NaN is unknown."""
     ends = link_ends(arm)
     lengths = np.linalg.norm(ends, axis=1)
     reach = float(lengths.sum())
@@ -103,7 +106,7 @@ def plausible(arm: Arm, notes: list[str]) -> Arm:
     ends = pointed * np.maximum(1.0, least / np.linalg.norm(pointed, axis=1))[:, None]
     solid = LINK_DENSITY * np.pi * radius**2 * np.linalg.norm(ends, axis=1)
     whole, usual = arm.mass.sum(), solid.sum()
-    if 0.0 < whole < usual / IMPLAUSIBLE_MASS_RATIO:
+    if whole and not usual / UNLIKELY < whole < usual * UNLIKELY:
         notes.append(
             f"masses: {whole:.3g} kg in all, where solid links of that length have {usual:.3g} kg; is it kilograms? "
             "They decide what the twin's torques mean"
@@ -111,7 +114,7 @@ def plausible(arm: Arm, notes: list[str]) -> Arm:
     mass, com, inertia = arm.mass.copy(), arm.com.copy(), arm.inertia.copy()
     for i, (name, end) in enumerate(zip(arm.joint_names, ends, strict=True)):
         wrong = []
-        if not solid[i] / IMPLAUSIBLE_MASS_RATIO**2 < mass[i] < solid[i] * IMPLAUSIBLE_MASS_RATIO:
+        if not PLACEHOLDER * solid[i] < mass[i] < np.inf:
             wrong.append(f"a mass of {mass[i]:.3g} kg" if mass[i] else "no mass")
             mass[i], com[i], inertia[i] = solid[i], end / 2, cylinder(solid[i], end, radius)
         elif not np.linalg.norm(com[i]) < 2 * reach or (np.isnan(inertia[i]).any() and not com[i].any()):
