@@ -242,6 +242,16 @@ def test_turning_points_are_no_rest():
     assert resting_postures(log, find_exclusions(ARM, [log])[0]).shape[1] == 0
 
 
+def test_a_joint_that_swings_under_a_standing_command_rests_in_the_middle():
+    time = np.arange(0.0, 16.0, 0.02)
+    command = np.outer(0.3 * (time > 8.0), np.ones(ARM.joints))
+    position = command - 0.14 + np.outer(0.05 * np.sin(14.0 * time), np.eye(ARM.joints)[1])
+    log = as_log("swing", time, position, command)
+    position, command = resting_postures(log, find_exclusions(ARM, [log])[0])
+    assert len(position) >= 10
+    np.testing.assert_allclose(position, command - 0.14, atol=0.02)
+
+
 def test_a_joint_that_gives_way_is_named_though_the_arm_never_rests():
     logs = [states_with_current(np.zeros(ARM.joints), phase) for phase in (0.0, 0.7)]
     slump = np.eye(ARM.joints)[1] * 1.5
