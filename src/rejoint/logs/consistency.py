@@ -4,11 +4,13 @@ Impossible numbers are errors, unlikely ones doubts, others notes. Thresholds ar
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import compress
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
+from rejoint.arms import Arm, Array, Mask
 from rejoint.logs.columns import FEWEST, NORMALISED_MOST, ZEROS, RecordedMotion, turn_bits, unit_by_steps
 from rejoint.logs.exclusions import correlations
 from rejoint.logs.joints import ImportOptions
@@ -304,9 +306,27 @@ def without_spikes(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]
     return motion.take(~rows), [(f"state: {rows.sum()} sample(s) left out that jump out and back, {said}", "")]
 
 
+def _endless(arm: Arm) -> Mask:
+    """(n,) whether each joint can turn all around."""
+    return arm.upper - arm.lower > 2 * np.pi - SAME
+
+
+def unwrapped(motion: RecordedMotion, arm: Arm) -> tuple[RecordedMotion, list[Remark]]:
+    """Join angles that pass from one end of a turn to the other, with commands in the same turn."""
+    wraps = _endless(arm) & (np.abs(np.diff(motion.position, axis=0)) > np.pi).any(axis=0)
+    if not wraps.any():
+        return motion, []
+    position = np.where(wraps, np.unwrap(motion.position, axis=0), motion.position)
+    if motion.command is not None:
+        turns = np.round((position - motion.command) / (2 * np.pi))
+        motion = replace(motion, command=motion.command + 2 * np.pi * np.where(wraps, turns, 0.0))
+    said = f"state: {', '.join(compress(motion.columns, wraps))} passes the end of a turn; joined"
+    return replace(motion, position=position), [(said, "")]
+
+
 def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
     """Check angles against limits and speeds of the arm."""
-    excess = np.maximum(motion.position - arm.upper, arm.lower - motion.position)
+    excess = np.maximum(motion.position - arm.upper, arm.lower - motion.position) * ~_endless(arm)
     far, worst = (excess > LIMIT_MARGIN).mean(axis=0), excess.max(axis=0)
     for joint in np.flatnonzero(worst > 0):
         beyond = f"state: {motion.columns[joint]} is beyond the limits of joint {arm.joint_names[joint]}"

@@ -22,6 +22,7 @@ from rejoint.logs.consistency import (
     clean,
     copies,
     kept_remarks,
+    unwrapped,
     without_spikes,
 )
 from rejoint.logs.exclusions import UNPOWERED, unpowered_joints
@@ -117,6 +118,8 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         motion = replace(motion, time=motion.time - origin)
         extra = {**extra, "clock_origin_s": f"{origin:.0f}"}
     take(check_units(motion, arm, options))
+    motion, remarks = unwrapped(motion, arm)
+    take(remarks)
     motion, remarks = without_spikes(motion)
     take(remarks)
     take(check_states(motion, arm))
