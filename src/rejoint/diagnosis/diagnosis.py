@@ -384,8 +384,8 @@ def _by_effort(measurement: Measurement, grown: list[str] | None) -> str:
     ]
     if others := [row.joint for row in rows if not row.coulomb_effort]:
         named.append(
-            f"not known at {', '.join(others)}: too little motion in both directions, or the sign of the column is "
-            "turned or missing (a minus in --map turns one)"
+            f"not known at {', '.join(others)}: too little motion to and fro (a minute is enough), or the sign of "
+            "the column is turned or missing (a minus in --map turns one)"
         )
     than = "" if grown is None else f" Beside the healthy arm it grew at {', '.join(grown) or 'no joint'}."
     return (

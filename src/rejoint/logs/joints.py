@@ -26,7 +26,7 @@ TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 _N = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _LINEAR = re.compile(
     rf"\s*(?P<sign>[+-]?)\s*(?:(?P<scale>{_N})\s*\*\s*)?(?P<column>.+?)\s*"
-    rf"(?:(?P<op>[*/])\s*(?P<factor>{_N}))?\s*(?P<offset>[+-]\s*{_N})?\s*"
+    rf"(?:(?P<op>[*/])\s*(?P<factor>[+-]?{_N}))?\s*(?P<offset>[+-]\s*{_N})?\s*"
 )
 """``6.33*m0-0.646``, ``-m0/6.33 + 0.1`` or ``m0``"""
 
