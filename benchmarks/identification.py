@@ -84,11 +84,11 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     kept = {log.label for log in logs[::FOLDS]}
     seen, unseen = [log for log in logs if log.label not in kept], [log for log in logs if log.label in kept]
     excluded = find_exclusions(arm, seen, table_height(arm, seen))
-    windows = thin(cut_windows(seen, excluded, 8.0), seen, seconds)
+    windows = thin(cut_windows(seen, excluded, 8.0), seconds)
     structure = Structure(belief=unknown_prior(arm))
     frozen, mean = (*OPTIONAL, "delay", "stiction"), structure.prior.mean.copy()
     mean[Layout(arm.joints).at("delay")], mean[Layout(arm.joints).at("stiction")] = 0.0, 1.0
-    problem = Problem(Replay(arm, seen, windows, TIMESTEP), structure.prior, frozen)
+    problem = Problem(Replay(arm, windows, TIMESTEP), structure.prior, frozen)
     start = time.process_time()
     rough = np.where(problem.frozen, mean, rough_fit(problem))
     ours = unpack(fit(problem, rough, 8, SCALES).vector, arm.joints)
@@ -166,7 +166,7 @@ def sysid_problem(tool, arm: Arm, problem: Problem, start: TwinParameters):
     model, replay = spec.compile(), problem.replay
     sequences = ([], [], [], [])
     for index, w in enumerate(replay.windows):
-        log = replay.logs[w.log]
+        log = w.log
         time = replay.time[replay.window == index]
         grid = np.arange(int(time[-1] / TIMESTEP)) * TIMESTEP
         row = np.clip(np.searchsorted(log.time, log.time[w.first] + grid, side="right") - 1, 0, len(log) - 1)

@@ -11,4 +11,4 @@ def twin_model(arm, parameters, timestep=0.005, gravity_scale=1.0):
 
 def predict(arm, parameters, log, timestep=0.005):
     """Open-loop positions (T, n) [rad] from the first measured state."""
-    return Replay(arm, [log], [Window(log=0, first=0, last=len(log))], timestep).predict(parameters.repeat(1))[0]
+    return Replay(arm, [Window(log=log, first=0, last=len(log))], timestep).predict(parameters.repeat(1))[0]

@@ -28,9 +28,9 @@ LEAD = 40
 """Rows before a window, for references and commands on their way"""
 
 
-def predicted(path, log, window):
+def predicted(path, window):
     """Positions (rows, n) [rad] of a window by MuJoCo alone, from the measured state at its begin."""
-    model = mujoco.MjModel.from_xml_path(str(path))
+    model, log = mujoco.MjModel.from_xml_path(str(path)), window.log
     data, n = mujoco.MjData(model), len(log.joint_names)
     first, speed, found = max(window.first - LEAD, 0), velocity(log.time, log.position, VELOCITY), []
     data.time, data.act[:n] = log.time[first], log.command[first]
@@ -59,14 +59,14 @@ def test_mujoco_alone_predicts_what_the_twin_predicts(address, tmp_path, few_tar
     twin.save(run.folder.twin)
     path, _ = export_run(run, "mjcf")
     windows = cut(logs, EXCITATION_WINDOW)[HOLD_OUT - 1 :: HOLD_OUT]
-    replay = Replay(arm, logs, windows)
+    replay = Replay(arm, windows)
     measured = replay.measured
     p, load = twin.parameters, np.abs(gravity_torque(arm, measured)).max(axis=0)
     # A weaker joint breaks loose, or does not, by the least difference.
     starts = p.torque_limit > load + p.stiction * p.coulomb
     assert starts.sum() >= arm.joints - 1
     ours = rms(replay.predict(p.repeat(1))[..., starts], measured[:, starts])
-    alone = [predicted(path, logs[window.log], window)[:, starts] for window in windows]
+    alone = [predicted(path, window)[:, starts] for window in windows]
     assert rms(alone, measured[:, starts]) < 1.1 * ours
 
 
@@ -83,9 +83,10 @@ def test_mujoco_gets_the_gravity_that_does_not_show_and_no_limit_that_no_motion_
     made_twin(arm, parameters).save(run.folder.twin)
     path, _ = export_run(run, "mjcf")
     command = arm.rest + 0.4 * np.sin(np.multiply.outer(time, np.linspace(0.5, 1.5, arm.joints)))
-    replay = Replay(arm, [RunLog.of(time, command, command, arm=arm.name)], [Window(log=0, first=0, last=len(time))])
+    log = RunLog.of(time, command, command, arm=arm.name)
+    replay = Replay(arm, [Window(log=log, first=0, last=len(time))])
     ours, without = replay.predict(TwinParameters.stacked([parameters, replace(parameters, compensation=0.0)]))
-    assert rms([predicted(path, replay.logs[0], replay.windows[0])], ours) < 0.2 * rms([without], ours)
+    assert rms([predicted(path, replay.windows[0])], ours) < 0.2 * rms([without], ours)
     assert not mujoco.MjModel.from_xml_path(str(path)).actuator_forcelimited.any()
 
 

@@ -76,7 +76,7 @@ def test_a_motion_that_no_twin_follows_counts_less_and_is_named():
     start = np.clip(pack(TRUTH), structure.prior.lower, structure.prior.upper)
     off = []
     for freedom in (FREEDOM, np.inf):
-        replay = Replay(ARM, logs, cut(logs, 5.0), STEP)
+        replay = Replay(ARM, cut(logs, 5.0), STEP)
         problem = Problem(replay, structure.prior, structure.frozen, freedom=freedom)
         found = fit(problem, start, 4)
         off.append(np.abs(np.log(unpack(found.vector, ARM.joints).coulomb / TRUTH.coulomb)).mean())

@@ -50,12 +50,12 @@ def log(position):
 
 def predicted(twin):
     logs = [log(np.tile(command[:1], (len(time), 1)))]
-    return Replay(arm, logs, cut(logs, 100.0)).predict(twin.repeat(1))[0]
+    return Replay(arm, cut(logs, 100.0)).predict(twin.repeat(1))[0]
 
 
 logs, belief = [log(predicted(truth))], prior(arm)
 others = [p.name for p in PARAMETERS if p.name != "asymmetry"]
-problem = Problem(Replay(arm, logs, cut(logs, 2.0)), belief, frozen=others)
+problem = Problem(Replay(arm, cut(logs, 2.0)), belief, frozen=others)
 start = np.where(np.array([n.startswith("asym") for n in vector_names(arm.joint_names)]), 0.0, pack(truth))
 found = fit(problem, start, 4)
 names = np.array(vector_names(arm.joint_names))

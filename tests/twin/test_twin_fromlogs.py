@@ -91,8 +91,8 @@ def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
     for logs, found in ((still, {39.0: 39.0, np.inf: np.inf}), ([record("moving", time, moving)], {39.0: np.inf})):
         windows = cut(logs, 8.0)
 
-        def problem(structure, logs=logs, windows=windows):
-            shown = Replay(ARM, logs, windows, STEP, acceleration=structure.acceleration)
+        def problem(structure, windows=windows):
+            shown = Replay(ARM, windows, STEP, acceleration=structure.acceleration)
             return Problem(shown, structure.prior, structure.frozen)
 
         for known, expected in found.items():
@@ -107,7 +107,7 @@ def test_a_slow_acceleration_is_found_although_damping_stands_in_for_it():
     windows = cut(logs, 8.0)
 
     def problem(structure):
-        shown = Replay(ARM, logs, windows, STEP, acceleration=structure.acceleration)
+        shown = Replay(ARM, windows, STEP, acceleration=structure.acceleration)
         return Problem(shown, structure.prior, structure.frozen)
 
     usual = Structure(belief=unknown_prior(ARM), acceleration=39.0)
@@ -168,7 +168,7 @@ def test_motion_in_which_a_joint_had_no_power_counts_for_the_others_alone(freedo
     limp = replace(log, extra={UNPOWERED: ARM.joint_names[1]})
 
     def weights(*logs):
-        problem = Problem(Replay(ARM, logs, cut(logs, 5.0)), unknown_prior(ARM), freedom=freedom)
+        problem = Problem(Replay(ARM, cut(logs, 5.0)), unknown_prior(ARM), freedom=freedom)
         return problem.weights(problem.powered * np.random.default_rng(0).normal(0.0, 0.01, problem.measured.shape))
 
     np.testing.assert_allclose(weights(log, limp)[: len(log) - 1, 1], weights(log)[: len(log) - 1, 1])

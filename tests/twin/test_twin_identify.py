@@ -51,7 +51,7 @@ def test_drawn_twins_have_the_covariance_and_keep_the_bounds(twin, monkeypatch):
 
 
 def test_block_jacobian_is_the_slope_of_each_joints_own_prediction(arm, truth, log):
-    problem = Problem(Replay(arm, [log], cut([log], 6.0)), prior(arm))
+    problem = Problem(Replay(arm, cut([log], 6.0)), prior(arm))
     problem.steps[:] *= 0.2  # so that the finite difference itself is small beside what is compared
     x, up = pack(truth), np.ones(Layout(arm.joints).size)
     base = problem.residuals(x[None])[0]
@@ -67,7 +67,7 @@ def test_block_jacobian_is_the_slope_of_each_joints_own_prediction(arm, truth, l
 
 
 def test_descent_never_gains_by_leaving_the_optimum(arm, truth, log):
-    problem = Problem(Replay(arm, [log], cut([log], 6.0)[:3]), prior(arm))
+    problem = Problem(Replay(arm, cut([log], 6.0)[:3]), prior(arm))
     found = fit(problem, pack(truth), iterations=3)
     residuals = problem.residuals(np.vstack([pack(truth), found.vector]))
     _, costs = problem.costs(np.vstack([pack(truth), found.vector]), residuals, found.weights)
@@ -85,7 +85,7 @@ def test_worn_motors_are_not_called_stronger_than_they_are():
 def test_a_torque_limit_that_explains_no_motion_is_not_claimed(arm, log, truth):
     weak = replace(truth, torque_limit=0.6 * truth.torque_limit)
     for twin, reached in ((weak, True), (replace(truth, torque_limit=np.full(arm.joints, 3.0)), False)):
-        moved = replace(log, position=Replay(arm, [log], cut([log], 100.0)).predict(twin.repeat(1))[0])
-        found = limiting(Problem(Replay(arm, [moved], cut([moved], 6.0)), prior(arm)), pack(twin))
+        moved = replace(log, position=Replay(arm, cut([log], 100.0)).predict(twin.repeat(1))[0])
+        found = limiting(Problem(Replay(arm, cut([moved], 6.0)), prior(arm)), pack(twin))
         assert found[[1, 2]].all() == reached
         assert found.any() == reached

@@ -15,7 +15,7 @@ LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(2)]
 
 def problem(arm=ARM):
     structure = Structure(belief=unknown_prior(arm))
-    replay = Replay(arm, LOGS, cut(LOGS, 8.0), STEP)
+    replay = Replay(arm, cut(LOGS, 8.0), STEP)
     return Problem(replay, structure.prior, structure.frozen)
 
 

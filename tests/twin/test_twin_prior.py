@@ -39,7 +39,7 @@ def test_cost_of_a_joint_is_that_of_moving_it_alone():
     time = np.arange(0.0, 3.0, 0.02)
     path = 0.1 * np.sin(time)[:, None] * np.ones(5)
     log = RunLog.of(time, path, path, arm=arm)
-    problem = Problem(Replay(arm, [log], cut([log], 3.0), 0.01), unknown_prior(arm))
+    problem = Problem(Replay(arm, cut([log], 3.0), 0.01), unknown_prior(arm))
     rng, layout = np.random.default_rng(0), Layout(5)
     base = problem.prior.mean + 0.3 * problem.prior.sigma * rng.standard_normal(layout.size)
     moved, residuals = np.tile(base, (2, 1)), 1e-3 * rng.standard_normal((2, len(time), 5))

@@ -34,7 +34,7 @@ def test_twins_that_differ_in_their_delay_alone_are_replayed_as_each_by_itself()
     time = 1.6 * time + np.random.default_rng(0).uniform(0.0, 0.004, len(time))
     log = as_log("uneven", time, command, command)
     twins = [replace(TRUTH, delay=delay) for delay in np.linspace(0.0, 0.03, 9)]
-    together = Replay(ARM, [log], cut([log], 100.0), 0.01).predict(TwinParameters.stacked(twins))
+    together = Replay(ARM, cut([log], 100.0), 0.01).predict(TwinParameters.stacked(twins))
     np.testing.assert_array_equal(together, [predict(ARM, twin, log, 0.01) for twin in twins])
 
 

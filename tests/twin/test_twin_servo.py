@@ -54,8 +54,8 @@ def test_a_log_is_replayed_at_the_gain_that_it_records_unless_it_declares_anothe
     told = at_gain([weak, strong, replace(weak, extra={GAIN: "3"})], recorded_gain([weak, strong]))
     assert_allclose([gains(one)[0] for one in told], [0.25, 1.0, 3.0])
     soft = replace(RUBBING, stiffness=0.25 * RUBBING.stiffness)
-    as_declared = Replay(ARM, told[:1], cut(told[:1], 9.0)).predict(RUBBING.repeat(1))
-    assert_allclose(as_declared, Replay(ARM, [weak], cut([weak], 9.0)).predict(soft.repeat(1)))
+    as_declared = Replay(ARM, cut(told[:1], 9.0)).predict(RUBBING.repeat(1))
+    assert_allclose(as_declared, Replay(ARM, cut([weak], 9.0)).predict(soft.repeat(1)))
 
 
 @pytest.mark.parametrize("declared", [False, True])

@@ -79,7 +79,7 @@ class Problem:
         self.replay, self.prior, self.freedom = replay, prior, freedom
         self.joints = replay.arm.joints
         self.measured, self.window = replay.measured, replay.window
-        silent = [replay.logs[w.log].extra.get(UNPOWERED, "").split(",") for w in replay.windows]
+        silent = [w.log.extra.get(UNPOWERED, "").split(",") for w in replay.windows]
         self.powered = ~np.array([np.isin(replay.arm.joint_names, names) for names in silent])[self.window]
         self.floor = replay.arm.encoder_step / np.sqrt(12.0)
         self.dependent = max(MEMORY * (len(self.measured) - len(replay.windows)) / replay.seconds, 1.0)  # rows
@@ -285,7 +285,7 @@ def influence(residual: Array) -> Array:
 
 def explained(residual: Array) -> Mask:
     """(n,) whether each joint is explained, by rms residuals (rows, n) [rad]."""
-    return np.asarray((residual**2).mean(axis=0) < HUBER**2)
+    return (residual**2).mean(axis=0) < HUBER**2
 
 
 CLUSTER = 3.0

@@ -140,7 +140,7 @@ def identify(
     """Fit a twin to an excitation, the first of ``logs``; InputError for another arm or too little motion."""
     seconds = sum(log.duration for log in logs)
     windows = cut(logs, EXCITATION_WINDOW)
-    first = [window for window in windows if window.log == 0]
+    first = [window for window in windows if window.log is logs[0]]
     unseen = first[HOLD_OUT - 1 :: HOLD_OUT]
     seen = [window for window in windows if window not in unseen]
     if seconds < SHORTEST_EXCITATION or not unseen:
@@ -152,16 +152,16 @@ def identify(
     rows = round(PIECE * sum(len(log) - 1 for log in logs) / seconds)
     pieces = [piece for w in seen for piece in w.split(max(1, round((w.last - w.first) / rows)))]
     on_progress(0.0, "search")
-    coarse = Problem(Replay(arm, logs, pieces, TIMESTEP), belief, UNSEEN)
+    coarse = Problem(Replay(arm, pieces, TIMESTEP), belief, UNSEEN)
     x = with_limit(coarse, fit(coarse, rough_fit(coarse), ITERATIONS).vector, "torque_limit")
     x = explored(coarse, x, ~explained(coarse.residuals(x[None])[0]))
     on_progress(0.6, "refinement")
-    fine = Problem(Replay(arm, logs, seen), belief, UNSEEN)
+    fine = Problem(Replay(arm, seen), belief, UNSEEN)
     found = fit(fine, x, ITERATIONS)
     on_progress(0.9, "intervals")
     held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)
     clusters = np.unique(fine.window + 1j * (fine.replay.time // CLUSTER), return_inverse=True)[1]
-    return fitted_twin(fine, found, clusters, held_out)
+    return fitted_twin(fine, found, logs, clusters, held_out)
 
 
 def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
@@ -175,13 +175,14 @@ def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
 def fitted_twin(
     problem: Problem,
     found: Fit,
+    logs: Sequence[RunLog],
     clusters: Index,
     held_out: HeldOut,
     table: TablePlane | None = None,
     *,
     doubted: bool = False,
 ) -> Twin:
-    """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen bound it.
+    """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen in all ``logs`` bound it.
 
     Nothing is identified where the sag is ``doubted``.
     """
@@ -198,7 +199,7 @@ def fitted_twin(
     mute, vague = (np.append(one, False)[problem.owner] for one in (silent, sigma[at("stiffness")] > together))
     beyond = vector + NORMAL95 * sigma > belief.upper  # only the bound tells where the interval ends
     identified &= ~mute & ~((vague | beyond) & belief.layout.is_log)
-    held, limit = largest_static_torque(replay, parameters.coulomb), parameters.torque_limit
+    held, limit = largest_static_torque(replay.arm, logs, parameters.coulomb), parameters.torque_limit
     identified[place] &= ~unreached
     light = np.abs(problem.gravity) < LIGHT_SAG * parameters.stiffness
     identified[at("offset")] &= identified[at("stiffness")] | light  # of unknown stiffness, it holds what is sag
@@ -228,10 +229,10 @@ def fitted_twin(
     return replace(twin, notes=tuple(_notes(twin, found, light, silent)))
 
 
-def largest_static_torque(replay: Replay, coulomb: Array) -> Array:
+def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> Array:
     """(n,) [N m] largest gravity torque held, less friction."""
-    speed = np.concatenate([velocity(log.time, log.position, VELOCITY) for log in replay.logs])
-    load = np.abs(gravity_torque(replay.arm, np.concatenate([log.position for log in replay.logs]))) - coulomb
+    speed = np.concatenate([velocity(log.time, log.position, VELOCITY) for log in logs])
+    load = np.abs(gravity_torque(arm, np.concatenate([log.position for log in logs]))) - coulomb
     return np.max(load * (np.abs(speed) < STILL_SPEED), axis=0, initial=0.0)
 
 
@@ -302,7 +303,8 @@ def identify_logs(
         problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
     on_progress(0.9, "intervals")
     doubt = sag_doubt(motions.data)
-    twin = fitted_twin(problem, found, independent(problem), _held_out(judgement), table, doubted=bool(doubt))
+    held_out = _held_out(judgement)
+    twin = fitted_twin(problem, found, motions.logs, independent(problem), held_out, table, doubted=bool(doubt))
     return replace(
         twin,
         gain=gain,
@@ -340,7 +342,7 @@ class Motions:
     @cached_property
     def far(self) -> list[Window]:
         """The free motion in which limits show."""
-        return farthest(self.windows, self.logs, self.settings.far_seconds)
+        return farthest(self.windows, self.settings.far_seconds)
 
     @property
     def belief(self) -> Prior:
@@ -349,29 +351,33 @@ class Motions:
 
     def problem(self, windows: Sequence[Window], structure: Structure, stride: float = STRIDE) -> Problem:
         """Make the problem of some windows."""
-        replay = Replay(self.arm, self.logs, windows, TIMESTEP, structure.acceleration)
+        replay = Replay(self.arm, windows, TIMESTEP, structure.acceleration)
         return Problem(replay, structure.prior, structure.frozen, stride, FREEDOM)
 
     def find_structure(self, on_progress: Progress = no_progress) -> tuple[Structure, Array]:
         """Find a twin's structure, and its optimum (k,) on few windows; InputError for too little motion."""
-        seconds = durations(self.windows, self.logs).sum()
+        seconds = durations(self.windows).sum()
         if seconds < SHORTEST:
             raise InputError(
                 f"identification: {seconds:.1f} s of free motion to fit, in stretches of {SHORTEST_STRETCH:g} s and "
                 f"more, expected at least {SHORTEST:.0f} s; record longer motions, off table and stops"
             )
-        slow = thin(self.windows, self.logs, self.settings.coarse_seconds)
+        slow = thin(self.windows, self.settings.coarse_seconds)
         simple = Structure(belief=self.belief, acceleration=self.arm.servo_acceleration)
         x = rough_fit(self.problem(slow, simple))
         on_progress(0.3, "structure")
         expected, simple = simple, find_acceleration(partial(self.problem, self.far), simple, x)
         if np.isinf(simple.acceleration) != np.isinf(expected.acceleration):
             x = rough_fit(self.problem(slow, simple))
-        return find_structure(partial(self.problem, sorted({*slow, *self.far})), simple, x)
+        return find_structure(partial(self.problem, self.chosen(slow)), simple, x)
+
+    def chosen(self, windows: Sequence[Window]) -> list[Window]:
+        """Return some ``windows`` and those in which limits show, in their order."""
+        return [window for window in self.windows if window in {*windows, *self.far}]
 
     def settle(self, structure: Structure, start: Array) -> tuple[Problem, Fit]:
         """Fit windows from all logs, from ``start`` (k,); the delay is below zero only with evidence."""
-        every = sorted({*thin(self.windows, self.logs, self.settings.fit_seconds), *self.far})
+        every = self.chosen(thin(self.windows, self.settings.fit_seconds))
         problem, belief = self.problem(every, structure, stride=1.0), structure.belief
         found = fit(problem, np.where(problem.layout.is_fitted, start, problem.prior.mean), REFINEMENT, SCALES)
         if unpack(found.vector, problem.joints).delay >= 0.0:
@@ -392,7 +398,8 @@ class Motions:
         both = with_both(self.problem(self.far, structure), start)
         with ThreadPoolExecutor(2) as pool:
             (problem, found), (rival, other) = pool.map(self.settle, (structure, fuller), (start, both))
-        fresh = thin(sorted({*self.windows} - {*problem.replay.windows}), self.logs, self.settings.fit_seconds)
+        unseen = [window for window in self.windows if window not in problem.replay.windows]
+        fresh = thin(unseen, self.settings.fit_seconds)
         if not fresh:
             return structure, problem, found
         replay = replace(problem.replay, windows=fresh)
@@ -403,11 +410,11 @@ class Motions:
     def fit_table(self, problem: Problem, found: Fit) -> TablePlane | None:
         """Fit the table to the motion in contact; None where that is too little."""
         windows = cut_windows(self.logs, self.excluded, WINDOW, contact=True)
-        if self.height is None or durations(windows, self.logs).sum() < LEAST_CONTACT:
+        if self.height is None or durations(windows).sum() < LEAST_CONTACT:
             return None
         from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo
 
-        touching = replace(problem.replay, windows=thin(windows, self.logs, self.settings.contact_seconds))
+        touching = replace(problem.replay, windows=thin(windows, self.settings.contact_seconds))
         return fit_table(touching, unpack(found.vector, problem.joints), self.height)
 
 

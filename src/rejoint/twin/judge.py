@@ -106,8 +106,8 @@ def judge(arm: Arm, paths: list[dict[str, Array]], logs: Sequence[RunLog], *, ta
 
 def _path(arm: Arm, candidate: Candidate, log: RunLog) -> Array:
     tables = [] if candidate.table is None else [candidate.table]
-    logs, window = at_gain([log], candidate.gain), Window(log=0, first=0, last=len(log))
-    replay = Replay(arm, logs, [window], TIMESTEP, candidate.acceleration)
+    (log,) = at_gain([log], candidate.gain)
+    replay = Replay(arm, [Window(log=log, first=0, last=len(log))], TIMESTEP, candidate.acceleration)
     return replay.predict(candidate.parameters.repeat(1), tables, resting=True)[0]
 
 
@@ -170,7 +170,7 @@ def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motion
     if period > COARSEST:
         found.append(f"readings are {period:.3g} s apart, expected at most {COARSEST:g} s")
     lags = [one for log in logs if (one := find_lag(log.time, log.position, log.command))]
-    lag = float(np.median([one.best for one in lags])) if lags else 0.0
+    lag = np.median([one.best for one in lags]) if lags else 0.0
     sure = [one.plausible for one in lags if one.sure]
     if sure and not any(sure):
         found.append(

@@ -24,6 +24,7 @@ from rejoint.logs.exclusions import Exclusions, find_exclusions, free_runs, numb
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import interpolated
+from rejoint.system.records import value_type
 from rejoint.twin.parameters import TIMESTEP, TwinParameters, held_stiction
 from rejoint.twin.simulation import ChainBatch, Draw
 
@@ -42,11 +43,11 @@ THREADS = 2
 """of the simulation; no effect on results"""
 
 
-@dataclass(frozen=True, kw_only=True, order=True)
+@value_type
 class Window:
     """Rows ``first`` to ``last`` (exclusive) of one log."""
 
-    log: int
+    log: RunLog
     first: int
     last: int
 
@@ -58,20 +59,20 @@ class Window:
 def cut(logs: Sequence[RunLog], length: float) -> list[Window]:
     """Cut logs into windows of about ``length`` [s]."""
     windows = []
-    for index, log in enumerate(logs):
+    for log in logs:
         count = max(1, round(log.duration / length))
         edges = np.searchsorted(log.time, log.time[0] + log.duration * np.arange(1, count) / count)
-        windows += _between(index, [0, *edges.tolist(), len(log)])
+        windows += _between(log, [0, *edges.tolist(), len(log)])
     return windows
 
 
-def _between(log: int, edges: Sequence[int]) -> list[Window]:
+def _between(log: RunLog, edges: Sequence[int]) -> list[Window]:
     return [Window(log=log, first=a, last=b) for a, b in pairwise(edges) if b - a > 2]
 
 
-def durations(windows: Sequence[Window], logs: Sequence[RunLog]) -> Array:
+def durations(windows: Sequence[Window]) -> Array:
     """Lengths (w,) [s] of windows."""
-    return np.array([logs[w.log].time[w.last - 1] - logs[w.log].time[w.first] for w in windows])
+    return np.array([w.log.time[w.last - 1] - w.log.time[w.first] for w in windows])
 
 
 def in_force(log: RunLog) -> Array:
@@ -84,19 +85,18 @@ class Replay:
     """Replays windows of logs for many twins at once."""
 
     arm: Arm
-    logs: Sequence[RunLog]
     windows: Sequence[Window]
     timestep: float = TIMESTEP
     acceleration: float = np.inf
 
     def __post_init__(self) -> None:
         for w in self.windows:
-            self.logs[w.log].require(self.arm)
+            w.log.require(self.arm)
 
     @cached_property
     def seconds(self) -> float:
         """[s] of motion in all windows."""
-        return float(sum(durations(self.windows, self.logs)))
+        return float(sum(durations(self.windows)))
 
     @cached_property
     def window(self) -> Index:
@@ -106,12 +106,13 @@ class Replay:
     @cached_property
     def motion(self) -> Index:
         """(rows,) number of each row's log."""
-        return np.array([w.log for w in self.windows])[self.window]
+        logs = list(dict.fromkeys(w.log for w in self.windows))
+        return np.array([logs.index(w.log) for w in self.windows])[self.window]
 
     @cached_property
     def time(self) -> Array:
         """(rows,) [s] since the start of each row's window."""
-        start = np.array([self.logs[w.log].time[w.first] for w in self.windows])
+        start = np.array([w.log.time[w.first] for w in self.windows])
         return self._rows(lambda log: log.time) - start[self.window]
 
     @cached_property
@@ -126,14 +127,14 @@ class Replay:
 
     def _rows(self, values: Callable[[RunLog], Array]) -> Array:
         """Rows of all windows of a log's ``values`` (T, ...)."""
-        return np.concatenate([values(self.logs[w.log])[w.first : w.last] for w in self.windows])
+        return np.concatenate([values(w.log)[w.first : w.last] for w in self.windows])
 
     @cached_property
     def _start(self) -> Array:
         """(3, windows, n) first positions [rad] and speeds [rad/s], and gains."""
         of_logs = {
-            i: np.stack(np.broadcast_arrays(log.position, velocity(log.time, log.position, VELOCITY), gains(log)))
-            for i, log in {w.log: self.logs[w.log] for w in self.windows}.items()
+            log: np.stack(np.broadcast_arrays(log.position, velocity(log.time, log.position, VELOCITY), gains(log)))
+            for log in {w.log for w in self.windows}
         }
         return np.stack([of_logs[w.log][:, w.first] for w in self.windows], axis=1)
 
@@ -147,7 +148,7 @@ class Replay:
     @cached_property
     def _grid(self) -> Array:
         """Times (steps,) [s] of the simulation steps."""
-        longest = durations(self.windows, self.logs).max()
+        longest = durations(self.windows).max()
         return np.arange(np.ceil(longest / self.timestep) + 1) * self.timestep
 
     def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = (), *, resting: bool = False) -> Array:
@@ -184,8 +185,8 @@ class Replay:
     def references(self, parameters: TwinParameters) -> Array:
         """One twin's references (rows, n) [rad] at the readings."""
         delay, speed = np.atleast_1d(parameters.delay), float(parameters.ramp_speed)
-        times = [(w.log, self.logs[w.log].time[w.first : w.last]) for w in self.windows]
-        return np.concatenate([self._reference(log, speed).sample(time, delay)[0] for log, time in times])
+        parts = [self._reference(w.log, speed).sample(w.log.time[w.first : w.last], delay)[0] for w in self.windows]
+        return np.concatenate(parts)
 
     def _control(self, parameters: TwinParameters) -> Array:
         """Return references (windows * m, steps, n), means over each simulation step."""
@@ -195,7 +196,7 @@ class Replay:
         control = np.empty((len(self.windows) * len(which), len(self._grid), self.arm.joints))
         around = ((np.arange(PARTS) + 0.5) / PARTS - 0.5) * self.timestep
         for w, part in zip(self.windows, np.split(control, len(self.windows)), strict=True):
-            time = self.logs[w.log].time[w.first] + self._grid
+            time = w.log.time[w.first] + self._grid
             sampled = [self._reference(w.log, one).sample(time, own, around) for one, own in late.items()]
             part[:] = np.concatenate(sampled)[which]
         if parameters.compensation.any():
@@ -208,22 +209,22 @@ class Replay:
         return {}
 
     @cached_property
-    def _last(self) -> dict[int, tuple[float, ServoReference]]:
+    def _last(self) -> dict[RunLog, tuple[float, ServoReference]]:
         return {}
 
-    def _reference(self, number: int, speed: float) -> ServoReference:
+    def _reference(self, log: RunLog, speed: float) -> ServoReference:
         """Return a log's reference."""
         # the last is kept: most twins of a fit ask for the same speed
-        log, last = self.logs[number], self._last.get(number)
+        last = self._last.get(log)
         if last is None or last[0] != speed:
-            last = self._last[number] = speed, ServoReference(*log.sent, speed, self.acceleration)
+            last = self._last[log] = speed, ServoReference(*log.sent, speed, self.acceleration)
         return last[1]
 
     @cached_property
     def _gravity(self) -> Array:
         """Gravity torques (windows, 1, steps, n) [N m] at the commands."""
-        logs = [(self.logs[w.log], w.first) for w in self.windows]
-        paths = [interpolated(log.time[first] + self._grid, log.time, log.command) for log, first in logs]
+        starts = [(w.log, w.log.time[w.first]) for w in self.windows]
+        paths = [interpolated(start + self._grid, log.time, log.command) for log, start in starts]
         return gravity_torque(self.arm, np.stack(paths))[:, None]
 
 
@@ -289,20 +290,20 @@ def cut_windows(
     Of at most about ``length`` [s].
     """
     windows, lead = [], LEAD if contact else 0.0
-    for index, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
+    for log, rows in zip(logs, excluded, strict=True):
         wanted = rows.contact & rows.readable if contact else rows.free
         for first, last in free_runs(wanted, log.time, SHORTEST_STRETCH):
-            early = int(np.searchsorted(log.time, log.time[first] - lead))
+            early = np.searchsorted(log.time, log.time[first] - lead)
             while not rows.readable[early:first].all():
                 early += 1
             count = max(1, int(np.ceil((log.time[last - 1] - log.time[early]) / length - 0.05)))
-            windows += Window(log=index, first=early, last=last).split(count)
+            windows += Window(log=log, first=early, last=last).split(count)
     return windows
 
 
-def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
+def thin(windows: Sequence[Window], seconds: float) -> list[Window]:
     """Keep about ``seconds`` [s] of the windows, evenly spread."""
-    lengths = durations(windows, logs)
+    lengths = durations(windows)
     total = lengths.sum()
     if total <= seconds:
         return list(windows)
@@ -311,11 +312,11 @@ def thin(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> l
     return [windows[i] for i in np.flatnonzero(np.diff(passed, prepend=-1) > 0).tolist()]
 
 
-def farthest(windows: Sequence[Window], logs: Sequence[RunLog], seconds: float) -> list[Window]:
+def farthest(windows: Sequence[Window], seconds: float) -> list[Window]:
     """Keep about ``seconds`` [s] of the windows farthest from their commands: limits show there."""
-    off = [-np.abs(logs[w.log].command - logs[w.log].position)[w.first : w.last].max() for w in windows]
+    off = [-np.abs(w.log.command - w.log.position)[w.first : w.last].max() for w in windows]
     order = np.argsort(off, kind="stable")
-    passed = np.cumsum(durations(windows, logs)[order])
+    passed = np.cumsum(durations(windows)[order])
     return [windows[i] for i in sorted(order[: np.searchsorted(passed, seconds) + 1].tolist())]
 
 
