@@ -84,7 +84,7 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     kept = {log.label for log in logs[::FOLDS]}
     seen, unseen = [log for log in logs if log.label not in kept], [log for log in logs if log.label in kept]
     excluded = find_exclusions(arm, seen, table_height(arm, seen))
-    windows = thin(cut_windows(seen, excluded, 8.0), seconds)
+    windows = thin(cut_windows(excluded, 8.0), seconds)
     structure = Structure(belief=unknown_prior(arm))
     frozen, mean = (*OPTIONAL, "delay", "stiction"), structure.prior.mean.copy()
     mean[Layout(arm.joints).at("delay")], mean[Layout(arm.joints).at("stiction")] = 0.0, 1.0

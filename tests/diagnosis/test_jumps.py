@@ -49,11 +49,11 @@ def test_zeros_that_were_moved_are_no_wear(checks):
     assert found.state == "drifting"
     assert found.due is None
     line = say(found, "ROBOT")
-    assert line.startswith("The zeros of joint2 and joint3 have moved by 1.2 and 0.8 deg")
+    assert "joint2 by 1.2 deg, joint3 by 0.8 deg, which is no wear" in line
     assert "--moved --repeat 5;" in line
     later = judged(*[healthy] * 6, *[moved] * 3)  # by then the charts call out as well
     assert later.state == "alarm"
-    assert say(later, "ROBOT").startswith("The zeros of joint2 and joint3 have moved")
+    assert say(later, "ROBOT").startswith("Zeros moved between")
 
 
 def test_one_odd_check_is_no_moved_arm(checks):

@@ -77,7 +77,7 @@ def test_dead_readings_are_found(free):
 def test_windows_hold_free_rows_only_and_contacts_apart(touching, free):
     logs = [touching, free]
     rows = find_exclusions(ARM, logs, TABLE.height)
-    windows = cut_windows(logs, rows, 4.0)
+    windows = cut_windows(rows, 4.0)
     for w in windows:
         assert rows[logs.index(w.log)].free[w.first : w.last].all()
         assert w.log.time[w.last - 1] - w.log.time[w.first] < 4.3
@@ -87,6 +87,6 @@ def test_windows_hold_free_rows_only_and_contacts_apart(touching, free):
             covered[w.first : w.last] += 1
     np.testing.assert_array_equal(covered, rows[1].free)
     assert {w.log for w in windows} == {*logs}
-    contacts = np.concatenate([np.arange(w.first, w.last) for w in cut_windows(logs, rows, 4.0, contact=True)])
-    assert {w.log for w in cut_windows(logs, rows, 4.0, contact=True)} == {touching}
+    contacts = np.concatenate([np.arange(w.first, w.last) for w in cut_windows(rows, 4.0, contact=True)])
+    assert {w.log for w in cut_windows(rows, 4.0, contact=True)} == {touching}
     assert set(np.flatnonzero(rows[0].contact)) <= set(contacts)

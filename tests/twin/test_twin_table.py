@@ -51,7 +51,7 @@ def test_the_fit_finds_the_table():
     truth = TablePlane(height=-0.02, slope_x=0.03, slope_y=-0.02, stiffness=1500.0, friction=0.25)
     logs = [record("press", *pressing(), table=truth), record("aside", *pressing(18.0, 0.55), table=truth)]
     rows = find_exclusions(ARM, logs, truth.height)
-    replay = Replay(ARM, cut_windows(logs, rows, 8.0, contact=True), 0.01)
+    replay = Replay(ARM, cut_windows(rows, 8.0, contact=True), 0.01)
     found = fit_table(replay, TRUTH, height=-0.03)
     points = tcp_position(ARM, np.concatenate([log.position[r.contact] for log, r in zip(logs, rows, strict=True)]))
     assert np.abs(surface(found, points) - surface(truth, points)).max() < 0.002

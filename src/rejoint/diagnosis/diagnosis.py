@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -129,7 +130,7 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
     rest = settled_postures(logs.targets)
     findings = find(arm, measurement, rest, healthy)
     least, usual = loop.error_mm.low, None if healthy is None else healthy.error_mm
-    unexplained = not findings and bool(usual and usual.high and least is not None and least > usual.high)
+    unexplained = not findings and usual and usual.high and least is not None and least > usual.high
     nothing = _nothing(arm, measurement, rest, healthy)
     if unexplained:
         nothing = (
@@ -172,8 +173,8 @@ def diagnose_logs(
     on_progress(0.0, "contacts and stops")
     height = table_height(arm, logs)
     excluded = find_exclusions(arm, logs, height)
-    evidence = _evidence(arm, logs, excluded, height)
-    data = join_logs(arm, logs, excluded)
+    evidence = _evidence(arm, excluded, height)
+    data = join_logs(arm, excluded)
     if not data.of_kind(FREE):
         raise InputError(
             f"diagnosis: no {SHORTEST:g} s of free motion in one piece{evidence.left_out}; record longer motions, off "
@@ -181,7 +182,7 @@ def diagnose_logs(
         )
     on_progress(0.1, "joints")
     measurement = measure_logs(data)
-    rest = _rest(logs, excluded)
+    rest = _rest(excluded)
     findings = () if bare else find(arm, measurement, rest, healthy)
     grown = _grown(measurement, healthy) if bare else None
     told = _by_effort(measurement, grown)
@@ -193,7 +194,7 @@ def diagnose_logs(
         arm=arm.name,
         robot=source,
         condition="worn" if grown else _condition(findings, measurement, healthy),
-        verdict=f"{_resting(evidence, healthy, [*silent])}{told} {doubt and f'But {doubt}. '}{_motions(evidence)}",
+        verdict=f"{_resting(evidence, healthy)}{told} {doubt and f'But {doubt}. '}{_motions(evidence)}",
         findings=findings,
         unseen=(
             *(
@@ -237,20 +238,15 @@ def _verdict_of(
     joints = {finding.joint: finding for finding in reversed(felt)}  # the worst finding of a joint wins
     worst = sorted(joints.values(), key=lambda f: -f.tcp_mm)[:3]
     named = "; ".join(f"{f.joint} is {RULES[f.kind][1]} ({f.tcp_mm:.1f} mm)" for f in worst)
-    ringing, rings = ringing_most(findings), ""
-    if ringing is not None and ringing not in worst:
-        worst.append(ringing)
-        rings = f" {ringing.joint} rings (damping ratio {ringing.measured.value:.2f})."
-    others = len({f.joint for f in findings} - {f.joint for f in worst})
-    more = f" {others} more joint{'s show' if others > 1 else ' shows'} wear." if others else ""
+    others = ", ".join(sorted({f.joint for f in findings} - {f.joint for f in worst}))
     enough = standing and sum(f.tcp_mm for f in standing) > EXPLAINED * value
-    return f"{'Because' if enough else 'What is worn'}: {named}.{rings}{more}"
+    return f"{'Because' if enough else 'What is worn'}: {named}.{others and f' Wear shows at {others} too.'}"
 
 
 def _usual(healthy: HealthyReference | None) -> str:
     if healthy is None or healthy.error_mm is None:
         return ""
-    setting = f" with {healthy.setting}" * bool(healthy.setting)
+    setting = healthy.setting and f" with {healthy.setting}"
     return f"; a healthy arm of this kind{setting}: {healthy.error_mm.value:.1f} mm"
 
 
@@ -259,7 +255,7 @@ def _untold(measurement: Measurement) -> tuple[str, ...]:
     for quantity, words in UNKNOWN.items():
         joints = [row.joint for row in rows if getattr(row, quantity) is None]
         if joints:
-            told.append(words.format("every joint" if len(joints) == len(rows) else ", ".join(joints)))
+            told.append(words.format(", ".join(joints)))
     over = measurement.torque_over_load or 1.0
     if not 1.0 / AGREE < over < AGREE:
         told.append(
@@ -278,58 +274,55 @@ def _hidden(loop: OpenLoop) -> str:
     )
 
 
-def _evidence(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions], height: float | None) -> Evidence:
+def _evidence(arm: Arm, excluded: Sequence[Exclusions], height: float | None) -> Evidence:
     def seconds(kind: str) -> float:
-        return sum(float(getattr(rows, kind)[1:] @ np.diff(log.time)) for log, rows in zip(logs, excluded, strict=True))
+        return sum(float(getattr(rows, kind)[1:] @ np.diff(rows.log.time)) for rows in excluded)
 
     return Evidence(
-        motions=len(logs),
-        seconds=sum(log.duration for log in logs),
+        motions=len(excluded),
+        seconds=sum(rows.log.duration for rows in excluded),
         **{f"{kind}_seconds": seconds(kind) for kind in ("free", "contact", "stop")},
         dead_seconds=seconds("stale"),
         table_height_m=height,
-        rest_error_mm=_rest_error(arm, logs, excluded),
+        rest_error_mm=_rest_error(arm, excluded),
     )
 
 
-def _rest_error(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Estimate | None:
+def _rest_error(arm: Arm, excluded: Sequence[Exclusions]) -> Estimate | None:
     means: list[float] = []
-    for log, rows in zip(logs, excluded, strict=True):
-        position, command = resting_postures(answered(log), rows)
-        if ZEROS in log.extra or not len(position):
+    for rows in excluded:
+        position, command = resting_postures(replace(rows, log=answered(rows.log)))
+        if ZEROS in rows.log.extra or not len(position):
             continue
         error = np.linalg.norm(tcp_position(arm, command) - tcp_position(arm, position), axis=-1) * 1e3
         place = np.unique(np.round(command, 3), axis=0, return_inverse=True)[1].ravel()
         of_place = np.bincount(place, weights=error) / np.bincount(place)
-        means += [error.mean()] if len(logs) >= MANY else of_place.tolist()
+        means += [error.mean()] if len(excluded) >= MANY else of_place.tolist()
     return mean_of(np.array(means)) if means else None
 
 
-def _rest(logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> Postures:
+def _rest(excluded: Sequence[Exclusions]) -> Postures:
     """Postures at rest; without any, some twenty of each log, without error."""
-    pairs = list(zip(logs, excluded, strict=True))
-    rest = np.concatenate([resting_postures(log, rows, stops=True) for log, rows in pairs], axis=1)
+    rest = np.concatenate([resting_postures(rows, stops=True) for rows in excluded], axis=1)
     if rest.shape[1]:
         return rest
-    passed = np.concatenate([log.position[rows.free][:: max(int(rows.free.sum()) // 20, 1)] for log, rows in pairs])
+    passed = np.concatenate([rows.log.position[rows.free][:: max(rows.free.sum() // 20, 1)] for rows in excluded])
     return np.stack([passed, passed])
 
 
-def _resting(evidence: Evidence, healthy: HealthyReference | None, silent: Sequence[str]) -> str:
+def _resting(evidence: Evidence, healthy: HealthyReference | None) -> str:
     error = evidence.rest_error_mm
     if error is None:
         return ""
-    without = f" without {', '.join(silent)} (no answer)" if silent else ""
     likely = "" if error.low is None else f" ({error.low:.1f} to {error.high:.1f})"
     return (
         f"Where it rests, the tool is {error.value:.1f} mm{likely} from where it was sent, by the arm's own "
-        f"encoders{without}{_usual(healthy)}. "
+        f"encoders{_usual(healthy)}. "
     )
 
 
 def _motions(evidence: Evidence) -> str:
-    motions = f"{evidence.motions} recorded motion{'s' * (evidence.motions != 1)}"
-    return f"From {motions}, {evidence.free_seconds:.0f} s in free space{evidence.left_out}."
+    return f"Recorded motions: {evidence.motions}, {evidence.free_seconds:.0f} s in free space{evidence.left_out}."
 
 
 def _nothing(arm: Arm, measurement: Measurement, rest: Postures, healthy: HealthyReference | None) -> str:

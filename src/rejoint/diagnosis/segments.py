@@ -180,15 +180,15 @@ _SAME = 1e-6
 """[rad] rounding of a constant command; chosen"""
 
 
-def join_logs(arm: Arm, logs: Sequence[RunLog], excluded: Sequence[Exclusions]) -> ExcitationLog:
+def join_logs(arm: Arm, excluded: Sequence[Exclusions]) -> ExcitationLog:
     """Join logs on one clock, spans named by log number."""
-    segments: list[Segment] = []
+    segments, logs = list[Segment](), [rows.log for rows in excluded]
     times, begin = [], 0.0
-    for number, (log, rows) in enumerate(zip(logs, excluded, strict=True)):
-        time = log.time - log.time[0] + begin
-        segments += _spans(number, log, rows.free, time)
+    for number, rows in enumerate(excluded):
+        time = rows.log.time - rows.log.time[0] + begin
+        segments += _spans(number, rows, time)
         times.append(time)
-        begin = float(time[-1]) + _APART
+        begin = time[-1] + _APART
     names = [name for name in ("torque", "current") if all(getattr(log, name) is not None for log in logs)]
     names += ["position", "command", "target", "true_tcp"]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(log, name) for log in logs]) for name in names}
@@ -210,7 +210,9 @@ def log_of(segment: Segment) -> int:
     return int(segment.name.partition("/")[0])
 
 
-def _spans(number: int, log: RunLog, free: Mask, time: Array) -> Iterator[Segment]:
+def _spans(number: int, rows: Exclusions, time: Array) -> Iterator[Segment]:
+    log, free = rows.log, rows.free
+
     def segment(kind: str, first: int, last: int, joints: tuple[int, ...]) -> Segment:
         name = f"{number}/{kind}/{joints[0] if kind == STEP else 'all'}/{first}"
         return Segment(name=name, kind=kind, start=float(time[first]), stop=float(time[last - 1]), joints=joints)
@@ -232,12 +234,12 @@ def _spans(number: int, log: RunLog, free: Mask, time: Array) -> Iterator[Segmen
 
 def _steps(log: RunLog, free: Mask, still: Mask, joint: int) -> Iterator[tuple[int, int]]:
     for arrived, last in free_runs(still, log.time, QUIET):
-        first = int(np.searchsorted(log.time, log.time[arrived] - STEP_TIME))
+        first = np.searchsorted(log.time, log.time[arrived] - STEP_TIME)
         moved = np.abs(np.diff(log.command[first : arrived + 1, joint]))
         if abs(log.command[arrived, joint] - log.command[first, joint]) < STEP_SIZE:
             continue
-        first += int(np.argmax(moved > _SAME))
-        last = min(last, int(np.searchsorted(log.time, log.time[first] + STEP_LENGTH)))
+        first += np.argmax(moved > _SAME)
+        last = min(last, np.searchsorted(log.time, log.time[first] + STEP_LENGTH))
         if free[first:last].all():
             yield first, last
 
@@ -344,12 +346,13 @@ def settled_postures(targets: RunLog) -> Postures:
     return np.array([[joints[part].mean(axis=0) for part in rows] for joints in (targets.position, targets.command)])
 
 
-def resting_postures(log: RunLog, excluded: Exclusions, *, stops: bool = False) -> Postures:
+def resting_postures(excluded: Exclusions, *, stops: bool = False) -> Postures:
     """Evenly spread rests of the free arm, each a mean over about a second; with ``stops`` also blocked ones.
 
     A joint that swings or jitters about one place under a standing command rests there.
     """
-    time, usable = log.time, ~(excluded.contact | excluded.stale) if stops else excluded.free
+    log, usable = excluded.log, ~(excluded.contact | excluded.stale) if stops else excluded.free
+    time = log.time
     stands = usable & (joint_speed(time, log.command) < AT_REST)
     quiet = stands & (joint_speed(time, log.position) < AT_REST)
     for a, b in free_runs(stands, time, 2 * SETTLED):

@@ -194,10 +194,10 @@ def stuck(case: _Case) -> Found:
     why = ", has no power, or its reading is another joint's, turned round, or has another zero or scale"
     if case.row.torque_limit_nm is not None:
         why = f", and spent {case.row.saturated_share * 100:.0f} % of the excitation at its torque limit"
-    where = "at its targets" if case.errors.any() else "there"  # it may never rest
-    return (case.levers * (case.errors if case.errors.any() else far)).mean(), (
+    off = case.errors if case.errors.any() else far  # it may never rest
+    return (case.levers * off).mean(), (
         f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it is too weak for its "
-        f"load or blocked{why}; {where} this costs"
+        f"load or blocked{why}; this costs"
     )
 
 
@@ -225,11 +225,9 @@ def hysteresis(case: _Case) -> Found:
     if not case.beyond("hysteresis_rad") or explained or not case.moves or case.hunts:
         return None
     width, rest = case.value("hysteresis_rad"), (case.levers * case.errors).mean()
-    least = case.lever * width / 2
-    far = f", and {np.degrees(case.errors.mean()):.2f} deg from its commands" if rest > least else ""
-    return max(least, rest), (
+    return max(case.lever * width / 2, rest), (
         f"stops short: coming from below and from above it rests {np.degrees(width):.2f} deg apart"
-        f"{case.against('hysteresis_rad', '.2f', np.degrees(1.0))}{far}; whether it is stiff to turn or soft, or both, "
+        f"{case.against('hysteresis_rad', '.2f', np.degrees(1.0))}; whether it is stiff to turn or soft, or both, "
         "cannot be told;"
     )
 

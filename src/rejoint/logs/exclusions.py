@@ -66,8 +66,9 @@ RESTING = 1e-3
 
 @entity
 class Exclusions:
-    """Rows (T,) without the free arm, with recovery."""
+    """Rows (T,) of a log without the free arm, with recovery."""
 
+    log: RunLog
     contact: Mask
     """tip on the table"""
     stop: Mask
@@ -96,6 +97,7 @@ def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None
         stopped = _stopped(log, ends, usual) & ~contact  # a table stops joints too, at the end of what they show
         found.append(
             Exclusions(
+                log=log,
                 contact=_recovering(log.time, contact),
                 stop=_recovering(log.time, stopped),
                 stale=_recovering(log.time, _stale(log, usual) & ~stopped),
@@ -113,7 +115,7 @@ def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
         counted &= ~_stale(log, usual) & (ZEROS not in log.extra)
         places.append(tip[counted])
         held.append((tip - asked)[counted, 2] > HELD_UP)
-        weights.append(np.full(int(counted.sum()), log.period))
+        weights.append(np.full(counted.sum(), log.period))
     place, up, seconds = (np.concatenate(parts) for parts in (places, held, weights))
     if not up.any():
         return None
@@ -130,7 +132,7 @@ def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
 
 def correlations(time: Array, position: Array, command: Array) -> tuple[Array, Array]:
     """Lowest and highest correlation (n, n) over `LAGS` of positions (T, n), in rows, with commands; 0: at rest."""
-    period, rows, n = float(np.median(np.diff(time))), *position.shape
+    period, rows, n = np.median(np.diff(time)), *position.shape
     found = []
     for lag in sorted({round(lag / period) for lag in LAGS}):
         # over little of the log any two smooth motions look alike
@@ -162,8 +164,7 @@ def _silent(logs: Sequence[RunLog], alike: float = UNRELATED) -> Mask:
     lowest, highest = correlations(told[0].period * np.arange(len(position), dtype=float), position, command)
     answer = np.maximum(-np.diag(lowest), np.diag(highest))
     moved, asked = np.ptp(position, axis=0), np.ptp(command, axis=0)
-    found: Mask = (asked >= ASKED) & ((moved < ANSWERED * asked) | (answer < alike))
-    return found
+    return (asked >= ASKED) & ((moved < ANSWERED * asked) | (answer < alike))
 
 
 def powered(logs: Sequence[RunLog]) -> list[RunLog]:
@@ -227,7 +228,7 @@ def free_runs(free: Mask, time: Array, shortest: float) -> list[tuple[int, int]]
     """Gapless free runs (first, last exclusive) of ``shortest`` [s] or more."""
     if len(time) < 2:
         return []
-    gap = np.diff(time) > max(5 * float(np.median(np.diff(time))), PAUSE)
+    gap = np.diff(time) > max(5 * np.median(np.diff(time)), PAUSE)
     breaks = np.flatnonzero(gap | (free[1:] != free[:-1])) + 1
     runs = pairwise([0, *breaks.tolist(), len(time)])
     return [(a, b) for a, b in runs if free[a] and time[b - 1] - time[a] >= shortest]

@@ -332,12 +332,12 @@ class Motions:
     @cached_property
     def data(self) -> ExcitationLog:
         """All motions on one clock."""
-        return join_logs(self.arm, self.logs, self.excluded)
+        return join_logs(self.arm, self.excluded)
 
     @cached_property
     def windows(self) -> list[Window]:
         """Free motion."""
-        return cut_windows(self.logs, self.excluded, WINDOW)
+        return cut_windows(self.excluded, WINDOW)
 
     @cached_property
     def far(self) -> list[Window]:
@@ -409,7 +409,7 @@ class Motions:
 
     def fit_table(self, problem: Problem, found: Fit) -> TablePlane | None:
         """Fit the table to the motion in contact; None where that is too little."""
-        windows = cut_windows(self.logs, self.excluded, WINDOW, contact=True)
+        windows = cut_windows(self.excluded, WINDOW, contact=True)
         if self.height is None or durations(windows).sum() < LEAST_CONTACT:
             return None
         from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo

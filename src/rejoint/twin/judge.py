@@ -88,8 +88,8 @@ def predict_logs(arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLo
 def judge(arm: Arm, paths: list[dict[str, Array]], logs: Sequence[RunLog], *, table: float | None = None) -> Judgement:
     """Compare the result of `predict_logs` with whole logs; ``table`` [m] is its height, default: found."""
     table = table_height(arm, logs) if table is None else table
-    rows = find_exclusions(arm, logs, table)
-    found = tuple(_motion(arm, *one) for one in zip(logs, rows, paths, strict=True))
+    excluded = find_exclusions(arm, logs, table)
+    found = tuple(_motion(arm, *one) for one in zip(excluded, paths, strict=True))
     names = list(paths[0])
     first = [motion.errors[names[1]] for motion in found]
     worst = int(np.argmax([0.0 if known is None else known.tcp for known in (e.free or e.all for e in first)]))
@@ -99,8 +99,8 @@ def judge(arm: Arm, paths: list[dict[str, Array]], logs: Sequence[RunLog], *, ta
         table_height=table,
         motions=found,
         mean={name: _mean([motion.errors[name] for motion in found]) for name in names},
-        doubts=tuple(_doubts(arm, logs, rows, found)),
-        worst=_trace(arm, logs[worst], rows[worst], paths[worst]),
+        doubts=tuple(_doubts(arm, excluded, found)),
+        worst=_trace(arm, excluded[worst], paths[worst]),
     )
 
 
@@ -111,8 +111,8 @@ def _path(arm: Arm, candidate: Candidate, log: RunLog) -> Array:
     return replay.predict(candidate.parameters.repeat(1), tables, resting=True)[0]
 
 
-def _motion(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> MotionErrors:
-    period = log.duration / max(len(log) - 1, 1)
+def _motion(arm: Arm, rows: Exclusions, paths: dict[str, Array]) -> MotionErrors:
+    log, period = rows.log, rows.log.duration / max(len(rows.log) - 1, 1)
     parts = {"free": rows.free, "contact": rows.contact & rows.readable, "all": rows.readable}
 
     def errors(path: Array) -> Errors:
@@ -143,7 +143,8 @@ def _mean(errors: Sequence[Errors]) -> Errors:
     return Errors(**{part: mean(part) for part in ("free", "contact", "all")})
 
 
-def _trace(arm: Arm, log: RunLog, rows: Exclusions, paths: dict[str, Array]) -> Trace:
+def _trace(arm: Arm, rows: Exclusions, paths: dict[str, Array]) -> Trace:
+    log = rows.log
     shown = np.linspace(0, len(log) - 1, min(TRACE_ROWS, len(log))).astype(int)
     measured = tcp_position(arm, log.position[shown])
     gaps = {n: np.linalg.norm(tcp_position(arm, path[shown]) - measured, axis=1) for n, path in paths.items()}
@@ -161,7 +162,8 @@ HALVED = 2.0
 """Distance of motion from commands over the error of a trusted twin; chosen"""
 
 
-def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motions: Sequence[MotionErrors]) -> list[str]:
+def _doubts(arm: Arm, excluded: Sequence[Exclusions], motions: Sequence[MotionErrors]) -> list[str]:
+    logs = [rows.log for rows in excluded]
     found = sorted({log.extra[ZEROS] for log in logs if ZEROS in log.extra})
     travel = max(np.ptp(log.position, axis=0).max() for log in logs)
     if travel < MOVED:
@@ -177,9 +179,9 @@ def _doubts(arm: Arm, logs: Sequence[RunLog], rows: Sequence[Exclusions], motion
             f"the readings follow the commands by {lag:.2f} s, expected 0 to {PLAUSIBLE[1]:g} s: clocks differ"
         )
     late = []
-    for log, own in zip(logs, rows, strict=True):
+    for log, rows in zip(logs, excluded, strict=True):
         row = np.searchsorted(log.time, log.time - lag, side="right") - 1
-        late.append(_motion(arm, log, own, {"": log.command[np.clip(row, 0, len(log) - 1)]}))
+        late.append(_motion(arm, rows, {"": log.command[np.clip(row, 0, len(log) - 1)]}))
 
     def errors(found: Sequence[MotionErrors], name: str) -> Array:
         return np.array([own.tcp for motion in found if (own := motion.errors[name].free)])

@@ -282,15 +282,14 @@ LEAD = 1.0
 """[s] of free motion before a contact; chosen"""
 
 
-def cut_windows(
-    logs: Sequence[RunLog], excluded: Sequence[Exclusions], length: float, *, contact: bool = False
-) -> list[Window]:
+def cut_windows(excluded: Sequence[Exclusions], length: float, *, contact: bool = False) -> list[Window]:
     """Cut free motion, or that in ``contact`` and readable rows up to `LEAD` before it, into windows.
 
     Of at most about ``length`` [s].
     """
     windows, lead = [], LEAD if contact else 0.0
-    for log, rows in zip(logs, excluded, strict=True):
+    for rows in excluded:
+        log = rows.log
         wanted = rows.contact & rows.readable if contact else rows.free
         for first, last in free_runs(wanted, log.time, SHORTEST_STRETCH):
             early = np.searchsorted(log.time, log.time[first] - lead)

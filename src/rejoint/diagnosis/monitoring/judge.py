@@ -152,7 +152,7 @@ def remaining(
     common = np.minimum.outer(-x, -x)  # covariance of a Brownian motion, backwards from now
     diffusion = _UNEVEN * max(np.abs(np.polyfit(x, error, 1)[0]), scatter)
     root = np.linalg.cholesky(diffusion**2 * common + scatter**2 * np.eye(len(x)))
-    white: Array = np.asarray(np.linalg.solve(root, np.column_stack([design, error])), dtype=float)
+    white: Array = np.linalg.solve(root, np.column_stack([design, error]))
     best, spread = fit_believed(white[:, :-1], white[:, -1], believed)
     rng = np.random.default_rng(0)
     drawn = rng.multivariate_normal(best, spread, DRAWS)
@@ -364,7 +364,7 @@ def _moved_zero(visits: Sequence[PastCheck], j: int) -> MovedZero | None:
 
 
 def _typical(value: Array) -> float:
-    return abs(float(np.median(value[:FEWEST])))
+    return abs(np.median(value[:FEWEST]))
 
 
 def _scatter(name: str, value: Array) -> float:
@@ -425,16 +425,13 @@ def say(found: Outlook, repair: str) -> str:
 def _advice(found: Outlook, repair: str) -> tuple[str, str]:
     worst, since = found.changes[0], _day(found.since)
     if found.moved:
-        worn = {one.joint for one in found.changes if one.state == "alarm" and one.quantity != "deviation"} - {""}
-        also = f"; beside that {', '.join(sorted(worn))} wears (alarm)" if worn else ""
         return (
-            f"{cause_of(found)}, which is no wear but a bump, a new setting or another load{also}",
+            f"{cause_of(found)}, which is no wear but a bump, a new setting or another load",
             f"if it was so, check it again with --moved --repeat 5; if not, look whether {found.moved[0].joint} has "
             f"slipped, then {repair}",
         )
     if found.state == "learning":
-        missing = FEWEST + 1 - found.checks
-        again = f"check again, {missing} more time{'s' * (missing > 1)}; the first ones may follow each other at once"
+        again = "check again; the first ones may follow each other at once"
         needed = f"{FEWEST} are needed to know what is usual for this arm, and one more to see a change"
         return f"Check {found.checks} since {since}: {needed}", repair if found.over else again
     if found.state == "steady":
@@ -442,8 +439,7 @@ def _advice(found: Outlook, repair: str) -> tuple[str, str]:
         later = "nothing; check again in a month"
         if due and due - found.newest < MONTH:
             later = f"nothing yet; check again by {_day(due)}, and make time for a repair"
-        joints = len({one.joint for one in found.changes if one.joint})
-        return f"No change in {joints} joints since {since}", repair if found.over else later
+        return f"No change since {since}", repair if found.over else later
     others = {one.joint or "the tool" for one in found.changes if one.state == found.state}
     also = ", ".join(sorted(others - {worst.joint or "the tool"}))
     return f"{cause_of(found)} ({found.state}){also and f'; also {also}'}", _act(found, worst, repair)
@@ -452,11 +448,8 @@ def _advice(found: Outlook, repair: str) -> tuple[str, str]:
 def cause_of(found: Outlook) -> str:
     """Name what changed most, or return an empty text."""
     if found.moved:
-        names = " and ".join(one.joint for one in found.moved)
-        ways = " and ".join(f"{abs(one.degrees):.1f}" for one in found.moved)
-        zeros = f"The zero of {names} has" if len(found.moved) == 1 else f"The zeros of {names} have"
-        after, before = max(one.after for one in found.moved), max(one.before for one in found.moved)
-        return f"{zeros} moved by {ways} deg between {_day(after)} and {_day(before)}"
+        zeros = (f"{one.joint} by {abs(one.degrees):.1f} deg" for one in found.moved)
+        return f"Zeros moved between {_day(found.moved[0].after)} and {_day(found.moved[0].before)}: {', '.join(zeros)}"
     if found.state not in ("drifting", "alarm"):
         return ""
     worst = found.changes[0]
