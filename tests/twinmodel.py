@@ -6,7 +6,9 @@ from rejoint.twin.table import TableBatch
 
 def twin_model(arm, parameters, timestep=0.005, gravity_scale=1.0):
     """Compile the model of one twin, with the arm's joint order and names."""
-    return TableBatch(arm, parameters.repeat(1), timestep=timestep, gravity_scale=gravity_scale)._batch.get_model(0)
+    batch = TableBatch(arm, parameters.repeat(1), timestep=timestep)._batch
+    batch.expand("opt.gravity")[:] *= gravity_scale
+    return batch.get_model(0)
 
 
 def predict(arm, parameters, log, timestep=0.005):

@@ -33,8 +33,10 @@ def drawn(arm, count, rng, **changes):
 
 
 def both(arm, twins, position, velocity, timestep=0.005, gravity_scale=1.0):
-    judge, chain = TableBatch(arm, twins, (), timestep, 1, gravity_scale), ChainBatch(arm, len(position))
-    chain.write(replace(Draw.of(twins), gravity_scale=np.broadcast_to(gravity_scale, len(position))))
+    judge, chain = TableBatch(arm, twins, (), timestep), ChainBatch(arm, len(position))
+    scale = np.broadcast_to(gravity_scale, len(position))
+    judge._batch.expand("opt.gravity")[:] *= scale[:, None]
+    chain.write(replace(Draw.of(twins), gravity_scale=scale))
     chain.timestep[:] = timestep
     for batch in (judge, chain):
         batch.restart(position, velocity)

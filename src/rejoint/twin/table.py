@@ -48,9 +48,8 @@ class TableBatch:
         tables: Sequence[TablePlane] = (),
         timestep: float | Array = TIMESTEP,
         threads: int = 1,
-        gravity_scale: float | Array = 1.0,
     ) -> None:
-        """Take the parameters (m,), m tables or none, time steps [s] and gravity's scale, numbers or (m,)."""
+        """Take the parameters (m,), m tables or none, and time steps [s], a number or (m,)."""
         count = twins.shape[0]
         self._terms = friction_terms(twins)
         steps = np.broadcast_to(timestep, twins.shape).astype(float)
@@ -72,7 +71,7 @@ class TableBatch:
             "dof_armature": twins.armature,
             "dof_solref": np.stack([2.0 * steps, np.ones_like(steps)], axis=-1)[:, None],
             "opt.timestep": steps,
-            "opt.gravity": np.broadcast_to(gravity_scale, twins.shape)[:, None] * GRAVITY,
+            "opt.gravity": GRAVITY,
         }
         for name, value in values.items():
             self._batch.expand(name)[:] = value
