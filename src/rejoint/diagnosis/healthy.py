@@ -102,7 +102,7 @@ def healthy_reference(
     if not reference_path(own).exists() and not (robot.startswith(HOBBY) and usable("emulated:healthy")):
         return None
     p = np.array((gains or {}).get("p", [0]), dtype=float)
-    share = np.ones(arm.joints) if voltage is None else np.asarray(voltage, float) / SUPPLY
+    share = np.ones(arm.joints) if voltage is None else voltage / SUPPLY
     if _new(arm) is None or not ((p > 0.0) & (share > 0.0)).all():
         return _laden(_measured(own, AS_SOLD), arm)
     typical = np.exp(np.log(p).mean())

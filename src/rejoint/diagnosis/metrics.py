@@ -137,7 +137,7 @@ def _averages(
     duration = _LONG / 2 if time[-1] - time[0] > _LONG else np.inf
     apart = np.diff(log.time)
     before = np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, len(apart) - 1)
-    near = apart[before] <= max(_SPARSE * length, 2.0 * float(np.median(apart)))
+    near = apart[before] <= max(_SPARSE * length, 2.0 * np.median(apart))
     return Averages(
         error=average(data.references[joint].sample(time, delays)[..., 0] - position, window),
         command_speed=-average(at(log.command), first),
@@ -286,7 +286,7 @@ def _any_masses(data: ExcitationLog, motion: Averages, joint: int) -> tuple[Arra
     """`gravity_terms` (N, 4 n), and their visible axes (N, m)."""
     columns = gravity_terms(data.arm, interpolated(motion.time, data.log.time, data.log.position), joint)
     axes, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
-    return columns, axes[:, sizes > _VISIBLE * max(float(sizes[0]), 1e-12)]
+    return columns, axes[:, sizes > _VISIBLE * max(sizes[0], 1e-12)]
 
 
 def mirrored_pulls(data: ExcitationLog, mirrors: Array) -> Array:
@@ -301,7 +301,7 @@ def mirrored_pulls(data: ExcitationLog, mirrors: Array) -> Array:
     size = 6 + len(quarters)
     found, log = np.zeros((*mirrors.shape[:2], size, size)), data.log
     for (k, joint), own in np.ndenumerate(np.abs(mirrors).argmax(axis=-1)):
-        motion, mirror = motions[int(own)], mirrors[k]
+        motion, mirror = motions[own], mirrors[k]
         if motion.enough:
             position = interpolated(motion.time, log.time, log.position) @ mirror
             pulls = [gravity_torque(data.arm, position, axis)[:, joint] for axis in np.eye(3)]
@@ -510,7 +510,7 @@ def arm_delay(data: ExcitationLog) -> float:
             fits = np.asarray(np.linalg.lstsq(motion.design, motion.error.T, rcond=None)[0].T)
             costs = _onset_costs(data, joint, fits)
             found += [_lowest(costs)] if np.isfinite(costs).any() else []
-    return float(np.quantile(found, 0.25)) if found else _USUAL_DELAY
+    return np.quantile(found, 0.25) if found else _USUAL_DELAY
 
 
 def _lowest(cost: Array) -> float:

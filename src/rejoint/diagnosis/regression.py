@@ -77,7 +77,7 @@ def fit_trimmed(design: Array, response: Array, cluster: Index, first: Mask | No
         beta = np.linalg.lstsq(design * root[:, None], response * root, rcond=None)[0]
         residual = np.abs(response - design @ beta)
         weight = (weight > 0.0) / np.maximum(residual, max(0.01 * residual.mean(), 1e-9))
-    kept = residual <= 5 * max(1.48 * float(np.median(residual[weight > 0.0])), 1e-5)
+    kept = residual <= 5 * max(1.48 * np.median(residual[weight > 0.0]), 1e-5)
     return fit_clustered(design[kept], response[kept], cluster[kept])
 
 

@@ -316,7 +316,7 @@ def _held(motion: RecordedMotion) -> RecordedMotion:
     """
     out, notes = np.all(np.isnan(motion.position), axis=1), [*motion.notes]
     out &= not out.all()
-    if lost := int((out & (motion.command is None or np.isnan(motion.command).all(axis=1))).sum()):
+    if lost := (out & (motion.command is None or np.isnan(motion.command).all(axis=1))).sum():
         notes.append(f"state: {lost} rows without any joint left out")
     if motion.command is not None:
         last = np.maximum.accumulate(np.where(np.isnan(motion.command), 0, np.arange(len(motion))[:, None]))

@@ -69,7 +69,7 @@ def find_lag(time: Array, position: Array, command: Array) -> Lag | None:
     """Lag of positions (T, n) [rad] behind commands at ``time`` (T,) [s]; None: too short or no motion."""
     if len(time) < 10 or time[-1] - time[0] < SHORTEST:
         return None
-    period = float(np.median(np.diff(time)))
+    period = np.median(np.diff(time))
     step = float(np.clip(period, *_GRID))
     even = np.arange(time[0], time[-1], step)[:_ROWS_MOST]
     held = command[np.searchsorted(time, even, side="right") - 1]
@@ -103,7 +103,7 @@ def _of_velocities(moved: Array, held: Array, step: float, period: float) -> Lag
     inside = near[np.argmin(unexplained[near])]
     if not unexplained.min() < _UNLIKE <= unexplained[inside]:  # motion that repeats resembles its other rounds, too
         unexplained[np.abs(lags) > SEARCHED] = 1.0
-    best, share = int(np.argmin(unexplained)), unexplained + _EXACT
+    best, share = np.argmin(unexplained), unexplained + _EXACT
     if best in near:
         return Lag(float(usual[best]), sure=True)
     surely = share[inside] > share[best] * _SURE[inside not in (near[0], near[-1])]
@@ -211,14 +211,14 @@ def clean(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]]:
         )
     fresh = np.concatenate([[True], steps > 0])[:rows]
     other = np.any(np.diff(motion.position, axis=0), axis=1)
-    gone, lost, steps = int((other & ~fresh[1:]).sum()), int((~fresh).sum()), steps[steps > 0]
+    gone, lost, steps = (other & ~fresh[1:]).sum(), (~fresh).sum(), steps[steps > 0]
     if rows - lost < FEWEST:
         raise FileError(
             motion.path,
             f"state: {rows - lost} sample(s), a log needs at least {FEWEST} with stamps of their own",
             _TIME_REMEDY,
         )
-    period = float(np.median(steps))
+    period = np.median(steps)
     if not RATES[0] <= 1.0 / period <= RATES[1]:
         raise FileError(
             motion.path, f"state: one sample in {period:.3g} s, expected {RATES[0]:g} to {RATES[1]:g} Hz", _TIME_REMEDY
@@ -242,7 +242,7 @@ GEAR_REMEDY = "give gear, sign and zero of each joint: --map JOINT=THEIRS/RATIO+
 def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Iterator[Remark]:
     """Check the declared unit of angles; FileError."""
     angles, unit = motion.position, motion.angle_unit
-    extent = float(np.rad2deg(np.abs(angles).max()))
+    extent = np.rad2deg(np.abs(angles).max())
     if unit == "deg" and extent <= 2 * np.pi:
         said = f"state: no angle is beyond {extent:.3g} deg; the values are surely radians"
         yield said, "set --angle-unit rad, or correct the column's name where that says a unit"
@@ -253,7 +253,7 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Ite
         if values is None or np.abs(values).max() <= TWO_TURNS:
             continue
         row, joint = _largest(np.abs(values))
-        gear = max(float((np.ptp(angles, axis=0) / (arm.upper - arm.lower)).max()), 1.0)
+        gear = max((np.ptp(angles, axis=0) / (arm.upper - arm.lower)).max(), 1.0)
         cause = f"degrees, or angles of the motors, before a gear of {gear:.2g} or more"
         raise FileError(
             motion.path,
@@ -354,14 +354,14 @@ def _check_motion(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
                 f"joint {arm.joint_names[joint]} at up to {arm.max_speed[joint]:.3g}",
                 _TIME_REMEDY,
             )
-    far, steps = np.abs(way), np.maximum(steps, float(np.median(steps)))
+    far, steps = np.abs(way), np.maximum(steps, np.median(steps))
     speed, took = far / steps, np.maximum(steps[:-2], steps[1:-1])  # a late stamp lengthens the step before
     jumped = far[1:-1] > SPIKE + (0.25 * SHARPEST * took + 3.0 * np.maximum(speed[:-2], speed[2:])) * took
     jumped &= far[:-2].any(axis=1, keepdims=True)  # readings that stood still catch up with the arm
     if jumped.any():
         row, joint = _largest(far[1:-1] * jumped)
         yield (
-            f"state: {int(jumped.any(axis=1).sum())} time(s) joints are elsewhere in the next sample, farthest "
+            f"state: {jumped.any(axis=1).sum()} time(s) joints are elsewhere in the next sample, farthest "
             f"{motion.columns[joint]} by {way[row + 1, joint]:.3g} rad in {took[row, 0]:.3g} s at "
             f"{motion.where(row + 2)}: no joint moves so",
             "cut the file there, or mend the values",
@@ -407,7 +407,7 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int] = ()) -> Iterator
     for joint, name in enumerate(motion.columns):
         if joint in off:
             continue
-        own, best = highest[joint, joint], int(np.argmax(highest[joint]))
+        own, best = highest[joint, joint], np.argmax(highest[joint])
         other = highest[joint, best]
         better = other > MUCH_BETTER[0] and 1 - own > MUCH_BETTER[1] * (1 - other)
         # whose own state follows its command as well stays where it is
@@ -429,7 +429,7 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int] = ()) -> Iterator
             yield f"{said}: not this command moved the arm", remedy
         if len(motion) < FEWEST_MOVING:
             continue
-        gain = float(gains[joint])
+        gain = gains[joint]
         if own > RELATED[1] and not 1 / GAIN < gain < GAIN:
             said = f"{name} moves {gain:.3g} times as far as its command: not one unit"
             yield said, "give states and commands in one unit"
@@ -444,7 +444,7 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int] = ()) -> Iterator
 
 def _check_copies(motion: RecordedMotion, command: Array) -> Iterator[Remark]:
     rows = len(motion)
-    reach = min(int(np.clip(round(PLAUSIBLE[1] / float(np.median(np.diff(motion.time)))), 1, 50)), rows // 2)
+    reach = min(int(np.clip(round(PLAUSIBLE[1] / np.median(np.diff(motion.time))), 1, 50)), rows // 2)
     changing = np.abs(np.diff(command, axis=0, prepend=command[:1])) > SAME
     changing &= np.ptp(command, axis=0) > FAR  # a good arm follows a hair's breadth exactly
     for lag in sorted(range(-reach, reach + 1), key=abs):

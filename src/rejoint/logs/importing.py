@@ -51,7 +51,7 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
     if not len(steps) or not (steps >= 0).all():
         yield motion.take(good) if len(good) else motion  # what `clean` will say
         return
-    period = float(np.median(steps))
+    period = np.median(steps)
     far, holes = steps > PAUSE_PERIODS * period, np.diff(good) > 1
     paused = far & (steps > PAUSE)
     pieces = np.split(good, np.flatnonzero(paused | holes) + 1)
@@ -60,7 +60,7 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
     kept = [piece for piece in pieces if len(piece) >= FEWEST] or [good]
     cut = f"cut there into {len(kept)} log(s)" if len(kept) > 1 else "left out"
     if paused.any():
-        worst = int(np.argmax(steps))
+        worst = np.argmax(steps)
         notes.append(
             f"state: {paused.sum()} pause(s) longer than {PAUSE:g} s, the longest {steps[worst]:.3g} s before "
             f"{motion.where(good[worst + 1])}; {cut}"
@@ -113,7 +113,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
 
     motion, remarks = clean(motion)
     take(remarks)
-    extra, origin = motion.extra, float(np.floor(motion.time[0]))
+    extra, origin = motion.extra, np.floor(motion.time[0])
     if origin >= _EPOCH:
         motion = replace(motion, time=motion.time - origin)
         extra = {**extra, "clock_origin_s": f"{origin:.0f}"}

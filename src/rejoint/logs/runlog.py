@@ -122,9 +122,7 @@ class RunLog:
             if not np.isfinite(getattr(self, name)).all():
                 raise InputError(f"run log {self.label}: {name} holds values that are not finite")
         if (np.diff(self.time) <= 0).any():
-            raise InputError(
-                f"run log {self.label}: time must increase, row {int(np.argmax(np.diff(self.time) <= 0)) + 1}"
-            )
+            raise InputError(f"run log {self.label}: time must increase, row {np.argmax(np.diff(self.time) <= 0) + 1}")
 
     def __len__(self) -> int:
         return len(self.time)
@@ -260,7 +258,7 @@ class RunLog:
         if self.period > LONGEST_PERIOD:
             raise InputError(f"run log {self.label}: its rows are {self.period:.4g} s apart; give times in seconds")
         for what, values in (("position", self.position), ("command", self.command)):
-            farthest = float(np.abs(values).max(initial=0.0, where=np.isfinite(values)))
+            farthest = np.abs(values).max(initial=0.0, where=np.isfinite(values))
             if farthest > TWO_TURNS:
                 raise InputError(
                     f"run log {self.label}: a {what} of {farthest:.4g} rad, beyond two turns; give radians"

@@ -200,10 +200,9 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
     """
     x = problem.prior.clip(start)
     fixed = problem.frozen
-    converged, iteration, rescaling = False, 0, np.inf if scales else 0.0
+    rescaling = np.inf if scales else 0.0
     residual = problem.residuals(x[None])[0]
-    while not converged and iteration < iterations:
-        iteration += 1
+    for iteration in range(1, iterations + 1):
         weights = problem.weights(residual)
         if rescaling >= LEAST_GAIN:
             around = np.vstack([x, problem.rescaled(x, scales)])
@@ -217,7 +216,8 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
         fixed = problem.frozen | _pressed(problem.prior, x, gradient)
         trials = _steps(problem, x, curvature, gradient, fixed)
         x, gained, residual = line_up(problem, np.vstack([x, trials]), residual[None], weights)
-        converged = gained + rescaling < LEAST_GAIN
+        if gained + rescaling < LEAST_GAIN:
+            break
     return Fit(vector=x, at_bound=fixed & ~problem.frozen, weights=problem.weights(residual))
 
 

@@ -162,8 +162,8 @@ PARAMETERS: tuple[Parameter, ...] = (
 )  # fmt: skip
 """In the order of the vector. Differences of offset and delay are chosen."""
 
-JOINT_PARAMETERS = tuple(p for p in PARAMETERS if p.per_joint)
-ARM_PARAMETERS = tuple(p for p in PARAMETERS if not p.per_joint)
+PER_JOINT = sum(p.per_joint for p in PARAMETERS)
+"""Number of parameters of each joint"""
 
 REFERENCE_LOAD = 0.838
 """[N m] largest gravity torque of the myCobot 280"""
@@ -288,7 +288,7 @@ class Prior:
     @cached_property
     def layout(self) -> Layout:
         """Of the vectors."""
-        return Layout((len(self.mean) - len(ARM_PARAMETERS)) // len(JOINT_PARAMETERS))
+        return Layout(1 + (len(self.mean) - len(PARAMETERS)) // PER_JOINT)
 
     @cached_property
     def precision(self) -> Array:

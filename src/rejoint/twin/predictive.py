@@ -8,25 +8,17 @@ AIChE Journal 49(2), 2003).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, gravity_torque, position_kinematics
 from rejoint.control.controllers.catalogue import PREDICTIVE
 from rejoint.control.controllers.classical import Pace, limit_lead, limit_position
-from rejoint.control.robot import ControlInput, Controller
+from rejoint.control.controllers.feedforward import FeedforwardController
+from rejoint.control.robot import ControlInput
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.simulation import ChainBatch, Draw, Simulation
 from rejoint.twin.twin import Twin
-
-
-class Holder(Controller, Protocol):
-    """A controller that can take over from another one."""
-
-    def take_over(self, inputs: ControlInput, where: Mask) -> None:
-        """Continue from the last command of the arms in ``where`` (B,)."""
-
 
 # The holder takes over; chosen.
 AT_TARGET = 0.5e-3
@@ -42,14 +34,14 @@ class PredictiveController:
 
     name = PREDICTIVE
 
-    def __init__(self, arm: Arm, twins: Draw, holder: Holder) -> None:
+    def __init__(self, arm: Arm, twins: Draw, holder: FeedforwardController) -> None:
         """Take twins (B,), or one for all, and the holder."""
         self._arm, self._holder, self._planner = arm, holder, Planner(arm, twins)
         self.contract = getattr(holder, "contract", None)  # of a policy: it is checked before anything moves
         self._begin(0)
 
     @classmethod
-    def of(cls, arm: Arm, twins: Sequence[Twin], holder: Holder) -> PredictiveController:
+    def of(cls, arm: Arm, twins: Sequence[Twin], holder: FeedforwardController) -> PredictiveController:
         """Make it for B twins, with their compiled simulation; ContractError for other arms."""
         for twin in twins:
             twin.require(arm)
@@ -95,8 +87,7 @@ class PredictiveController:
         share = np.clip((inputs.state.time - self._time) / MEMORY, 0.0, 1.0)
         self._wrong, self._time = self._wrong + share * (wrong - self._wrong), inputs.state.time.copy()
         near = np.linalg.norm(inputs.target - tcp, axis=-1) < AT_TARGET
-        over: Mask = near | (inputs.since_target > LATE) | (self._wrong > LOST)
-        return over
+        return near | (inputs.since_target > LATE) | (self._wrong > LOST)
 
 
 _OVERDRIVE = np.array([-0.5, 0.0, 0.5, 1.0, 2.0, 4.0])

@@ -77,7 +77,7 @@ class ChainBatch:
         self.arm, self.nsim = arm, nsim
         shape = (nsim, arm.joints)
         self.qpos, self.qvel = np.zeros((2, *shape))
-        self.timestep = np.full(nsim, float(timestep))
+        self.timestep = np.full(nsim, timestep)
         """(nsim,) [s]"""
         self._links = chain_links(arm)
         self._impulse, self._motors = np.zeros(shape), np.zeros((TERMS + len(DRY), *shape))

@@ -158,13 +158,12 @@ def find_acceleration(make: Callable[[Structure], Problem], simple: Structure, s
 
     best, (losses, y) = usual, tried(usual, start, simple.acceleration)
     for factor in FACTORS:
-        gained = True
-        while gained:
+        while True:
             near = {acceleration: tried(acceleration, y, best) for acceleration in (best / factor, best * factor)}
             nearest = min(near, key=lambda one: _ratio(near[one][0], losses))
-            gained = nearest < FASTEST and _ratio(near[nearest][0], losses) < BETTER
-            if gained:
-                best, (losses, y) = nearest, near[nearest]
+            if nearest >= FASTEST or _ratio(near[nearest][0], losses) >= BETTER:
+                break
+            best, (losses, y) = nearest, near[nearest]
     held, without = (tried(acceleration, y, best)[0] for acceleration in (usual, np.inf))
     if _ratio(losses, without) < 1.0 - LIMIT_GAIN:
         return replace(simple, acceleration=best)

@@ -254,8 +254,7 @@ class Twin(Readable):
         """Matrix square root (k, k) of the covariance of `sample`."""
         covariance = self.covariance + np.diag(np.where(self.layout.is_log, LEAST_SPREAD**2, 0.0))
         values, vectors = np.linalg.eigh(covariance)
-        root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
-        return root
+        return vectors * np.sqrt(np.maximum(values, 0.0))
 
     def require(self, arm: Arm) -> None:
         """Raise ContractError if this twin is of another arm."""

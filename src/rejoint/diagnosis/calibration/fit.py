@@ -201,7 +201,7 @@ def solve(problem: ToolProblem, start: Array, iterations: int = ITERATIONS) -> F
 def _fitted(problem: ToolProblem, vector: Array, curvature: Array) -> Fitted:
     whitener, white, weight = problem.weighed(vector)
     own, off = problem.belief.precision, vector - problem.belief.mean
-    cost = 0.5 * float((weight * (2.0 - weight) * (white**2).sum(axis=1)).sum() + off @ own @ off)
+    cost = 0.5 * (weight * (2.0 - weight) * (white**2).sum(axis=1)).sum() + off @ own @ off
     spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2))).sum()
     evidence = -cost + spread + 0.5 * (np.linalg.slogdet(own)[1] - np.linalg.slogdet(curvature)[1])
     return Fitted(vector=vector, covariance=np.asarray(np.linalg.inv(curvature), dtype=float), evidence=float(evidence))
@@ -246,7 +246,7 @@ def helps(arm: Arm, measured: Measurements, before: Array, after: Array) -> bool
     """Whether the correction is clearly better at points left out: errors (M,) [m] without and with it."""
     numbers = np.unique(measured.posture)
     gain = np.mean([(before - after)[measured.posture == number].mean() for number in numbers])
-    noise = float((measured.sigma**2).mean() + floor_of(arm) ** 2)
+    noise = (measured.sigma**2).mean() + floor_of(arm) ** 2
     return len(numbers) >= FEWEST and bool(gain > max(SURE * np.sqrt(noise / len(numbers)), LEAST))
 
 

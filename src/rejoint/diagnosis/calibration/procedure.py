@@ -298,7 +298,7 @@ class TouchGauge:
             except InputError as error:
                 stop = replace(stop, again=str(error))
                 continue
-            off = float(np.nanmax(np.abs(point - stop.believed), initial=0.0))
+            off = np.nanmax(np.abs(point - stop.believed), initial=0.0)
             if self.frame != "base" or off <= FAR * reach(robot.arm) or np.array_equal(point, doubted, equal_nan=True):
                 return point
             doubted = point
@@ -435,7 +435,7 @@ class StandingDrive:
         self._go(before(posture, visit), settle=0.3, motors=self._motors)
         there = self._go(posture, settle=SETTLE)
         rows = there.time[:, 0] > there.time[-1, 0] - WINDOW
-        return np.asarray(there.position[rows, 0].mean(axis=0))
+        return there.position[rows, 0].mean(axis=0)
 
     def rest(self) -> None:
         """Go back to rest, if the arm has moved."""
@@ -511,7 +511,7 @@ def _measured(drive: StandingDrive, gauge: Gauge, plan: Suggestion, number: int)
 def _gone(robot: Robot, position: Array) -> str:
     with noted():
         away = np.abs(robot.read().position[0] - position)
-    j = int(np.argmax(away))
+    j = np.argmax(away)
     told = f"{robot.arm.joint_names[j]} went {np.degrees(away[j]):.0f} deg while the arm was measured"
     return told if away[j] > MOVED else ""
 

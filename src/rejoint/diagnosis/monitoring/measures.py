@@ -143,7 +143,7 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
     rows = tuple(
         JointCheck(
             joint=name,
-            hysteresis_mm=1e3 * float(lever[j]) * _hysteresis(data, j),
+            hysteresis_mm=1e3 * lever[j] * _hysteresis(data, j),
             reversal_mm=float(reversal[j]),
             deviation_mm=float(off[..., j].mean()),
             sag_mm=_sag(off[..., j].mean(axis=(1, 2)), torque[..., j].mean(axis=(1, 2)), least),
