@@ -2,14 +2,13 @@
 
 A catalogue arm has a file, measured on emulated arms of the wear profile ``healthy`` or that of `NEW` by
 
-    python -m rejoint.diagnosis.healthy mycobot280
+    python -m benchmarks healthy --arm mycobot280
 
 An SO-101 has one for each P in `MEASURED`.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib.resources import files
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, gravity_torque, load_arm, position_kinematics
+from rejoint.arms import Arm, Array, gravity_torque, position_kinematics
 from rejoint.arms.inertia import bare
 from rejoint.control.servogains import ServoGains
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
@@ -27,7 +26,7 @@ from rejoint.diagnosis.regression import scaled
 from rejoint.diagnosis.segments import open_loop_errors
 from rejoint.robots import open_robot, usable
 from rejoint.system.errors import InputError
-from rejoint.system.files import read_json, write_json
+from rejoint.system.files import read_json
 from rejoint.system.records import value_type
 from rejoint.system.statistics import Estimate
 
@@ -235,9 +234,3 @@ def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:
         error_mm=error and _range([error]),
         effort_unit=good.measurement.effort_unit,
     )
-
-
-if __name__ == "__main__":
-    measured = load_arm(sys.argv[1] if len(sys.argv) > 1 else "mycobot280")
-    for gain in MEASURED if measured.name in NEW else (AS_SOLD,):
-        write_json(reference_path(measured, gain), measure_healthy(measured, p=gain))
