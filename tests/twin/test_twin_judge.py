@@ -56,7 +56,6 @@ def test_contact_counts_apart_and_needs_the_table(judgement):
     assert press.errors["truth"].contact.tcp > 0.010
     assert press.errors["truth on its table"].contact.tcp < 0.002
     assert press.errors["truth on its table"].all.tcp < 0.2 * press.errors["truth"].all.tcp
-    assert judgement.table_height == pytest.approx(TABLE.height, abs=0.011)
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ def replay(
     replayed = rejoint.replay(twin, logs, arm=chosen, beside=read_sets(published, chosen), out=out)
     for remark in remarks_on(replayed.logs):
         call.message(f"  ! {remark}")
-    value = show_errors(call, replayed.judgement, out / "replay.json")
+    value = show_errors(call, replayed.judgement)
     call.result(f"Page: {replayed.page}")
     return value | {"page": replayed.page}
 
@@ -71,8 +71,8 @@ def by_motion(given: list[str] | None) -> dict[str, str]:
     return found
 
 
-def show_errors(call: Call, judgement: Judgement, file: Path) -> dict[str, Any]:
-    """Print the errors of every motion, and what to trust; return them without the traces that are in ``file``."""
+def show_errors(call: Call, judgement: Judgement) -> dict[str, Any]:
+    """Print the errors of every motion, and what to trust; return them."""
     from rejoint.pages.report.tables import answer
 
     names = list(judgement.mean)
@@ -85,7 +85,7 @@ def show_errors(call: Call, judgement: Judgement, file: Path) -> dict[str, Any]:
     call.table(title, ["motion", "s", *names], rows, len(rows) - 1)
     for line in answer(judgement):
         call.result(line)
-    return vars(judgement) | {"worst": {"motion": judgement.worst.motion, "traces": str(file)}}
+    return vars(judgement)
 
 
 def _cell(errors: Errors) -> str:

@@ -213,7 +213,7 @@ def identify(
         call.next(command("train", run))
         return value
     if twin.judgement is not None:
-        value["judgement"] = offline.show_errors(call, twin.judgement, job.folder.judgement)
+        value["judgement"] = offline.show_errors(call, twin.judgement)
     page = rejoint.report(job)
     call.result(f"Twin: {job.folder.twin}")
     call.result(f"Report: {page}")

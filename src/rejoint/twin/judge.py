@@ -16,7 +16,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from rejoint.arms import Arm, Array, tcp_position
+from rejoint.arms import Arm, Array
 from rejoint.diagnosis.metrics import COARSEST
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.consistency import PLAUSIBLE, find_lag
@@ -34,7 +34,6 @@ from rejoint.twin.twin import (
     MotionErrors,
     PredictionError,
     TablePlane,
-    Trace,
     Twin,
     prediction_error,
     smaller,
@@ -42,9 +41,6 @@ from rejoint.twin.twin import (
 
 TIMESTEP = 0.010
 """[s]; measured: as good as a quarter of it"""
-
-TRACE_ROWS = 2000
-"""Rows of the residual for a figure; chosen"""
 
 
 @value_type
@@ -90,17 +86,11 @@ def judge(arm: Arm, paths: list[dict[str, Array]], logs: Sequence[RunLog], *, ta
     table = table_height(arm, logs) if table is None else table
     excluded = find_exclusions(arm, logs, table)
     found = tuple(_motion(arm, *one) for one in zip(excluded, paths, strict=True))
-    names = list(paths[0])
-    first = [motion.errors[names[1]] for motion in found]
-    worst = int(np.argmax([0.0 if known is None else known.tcp for known in (e.free or e.all for e in first)]))
     return Judgement(
         arm=arm.name,
-        joint_names=arm.joint_names,
-        table_height=table,
         motions=found,
-        mean={name: _mean([motion.errors[name] for motion in found]) for name in names},
+        mean={name: _mean([motion.errors[name] for motion in found]) for name in paths[0]},
         doubts=tuple(_doubts(arm, excluded, found)),
-        worst=_trace(arm, excluded[worst], paths[worst]),
     )
 
 
@@ -141,21 +131,6 @@ def _mean(errors: Sequence[Errors]) -> Errors:
         return PredictionError(joint=float(joint), joints=tuple(joints.tolist()), tcp=float(tcp))
 
     return Errors(**{part: mean(part) for part in ("free", "contact", "all")})
-
-
-def _trace(arm: Arm, rows: Exclusions, paths: dict[str, Array]) -> Trace:
-    log = rows.log
-    shown = np.linspace(0, len(log) - 1, min(TRACE_ROWS, len(log))).astype(int)
-    measured = tcp_position(arm, log.position[shown])
-    gaps = {n: np.linalg.norm(tcp_position(arm, path[shown]) - measured, axis=1) for n, path in paths.items()}
-    first = list(paths)[1]
-    return Trace(
-        motion=log.label,
-        time=tuple((log.time[shown] - log.time[0]).tolist()),
-        contact=tuple(rows.contact[shown].tolist()),
-        tcp={name: tuple(gap.tolist()) for name, gap in gaps.items()},
-        joints=tuple(tuple(row) for row in (paths[first] - log.position)[shown].T.tolist()),
-    )
 
 
 HALVED = 2.0

@@ -75,32 +75,13 @@ class MotionErrors:
 
 
 @value_type
-class Trace:
-    """Residual of the worst motion of the first candidate."""
-
-    motion: str
-    time: tuple[float, ...]
-    """(T,) [s]"""
-    contact: tuple[bool, ...]
-    """(T,)"""
-    tcp: dict[str, tuple[float, ...]]
-    """(T,) [m] by prediction"""
-    joints: tuple[tuple[float, ...], ...]
-    """(n, T) [rad] predicted minus measured, first candidate"""
-
-
-@value_type
 class Judgement(Readable):
     """Result of a replay of logs."""
 
     arm: str
-    joint_names: tuple[str, ...]
-    table_height: float | None
-    """[m] of the tip in contact; None without contact"""
     motions: tuple[MotionErrors, ...]
     mean: dict[str, Errors]
     """over motions with equal weight, by prediction"""
-    worst: Trace
     doubts: tuple[str, ...] = ()
     """why no prediction is trusted (`rejoint.twin.judge`)"""
 
