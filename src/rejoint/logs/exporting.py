@@ -3,7 +3,6 @@
 MCAP holds ``sensor_msgs/msg/JointState`` in CDR with its ``ros2msg`` definition, which all three read.
 """
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,6 @@ from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.files import write_whole
 
-METADATA = "rejoint"
-"""Metadata record"""
 POINT_TOPICS = {"target": "/target", "true_tcp": "/true_tcp"}
 _SEPARATOR = "=" * 80
 _HEADER = f"""{_SEPARATOR}
@@ -85,9 +82,6 @@ def _write_mcap(log: RunLog, path: Path) -> None:
     if ((stamps < 0) | (stamps >= _LAST_SECOND * NANOSECONDS)).any():
         raise InputError(f"log {log.label}: times from {log.time[0]:g} to {log.time[-1]:g} s do not fit a ROS stamp")
     with path.open("wb") as stream, Writer(stream) as writer:
-        writer.add_metadata(
-            METADATA, {"arm": log.arm, "robot": log.robot, "label": log.label, "extra": json.dumps(log.extra)}
-        )
         joints = writer.register_msgdef("sensor_msgs/msg/JointState", _JOINT_STATE)
         point = writer.register_msgdef("geometry_msgs/msg/PointStamped", _POINT_STAMPED)
         none = np.zeros((len(log), 0))

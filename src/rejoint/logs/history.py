@@ -115,8 +115,6 @@ class HistoryRow:
     """share of reached targets with it"""
     state: str = ""
     """of a check: learning, steady, drifting or alarm; else of a run"""
-    cause: str = ""
-    """largest change, in words"""
     line: str = ""
     """message to the user"""
     due_early: datetime | None = None

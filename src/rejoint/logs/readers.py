@@ -218,7 +218,6 @@ def _episodes(source: Path, options: ImportOptions) -> Iterator[RawMotion]:
             place=f"{name}, row",
             found="a LeRobot dataset",
             notes=[note],
-            extra={"episode": str(number)},
         )
 
 
@@ -356,7 +355,6 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
     }
     origin = min(int(clock.min()) for clock in clocks.values()) // NANOSECONDS * NANOSECONDS
     origin = origin if origin > 10**17 else 0  # counted from 1970; smaller numbers a float64 resolves to 1e-8 s
-    extra = {"clock_origin_s": f"{origin // NANOSECONDS}"} if origin else {}
 
     def motion(topic: str) -> RawMotion:
         titles = dict.fromkeys(title for one in found[topic] for title in one.columns)
@@ -367,7 +365,6 @@ def _read(opened: Opener, file: Path, options: ImportOptions) -> list[RawMotion]
             # whole nanoseconds are subtracted before they become float64, which keeps them exact
             time=(clocks[topic] - origin) / NANOSECONDS,
             notes=notes,
-            extra=extra,
             place=f"topic {topic}, message",
             angle_unit="rad",
             found=f"topic {topic}",

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import msgspec
 
 from rejoint.control.comparison.recommend import recommend
-from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck, cause_of
+from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck
 from rejoint.diagnosis.monitoring.measures import CheckMeasures
 from rejoint.logs.history import SUMMARY, HistoryRow, name_of, read_rows, setup_of, utc_now, write_rows
 from rejoint.pages.html import write_page
@@ -58,7 +58,6 @@ def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[
     arm = replace(
         rows[0],
         state=found.state,
-        cause=cause_of(found),
         line=line,
         tolerance_mm=found.tolerance_mm,
         controlled_mm=found.controlled_mm,

@@ -426,7 +426,7 @@ def _advice(found: Outlook, repair: str) -> tuple[str, str]:
     worst, since = found.changes[0], _day(found.since)
     if found.moved:
         return (
-            f"{cause_of(found)}, which is no wear but a bump, a new setting or another load",
+            f"{_cause_of(found)}, which is no wear but a bump, a new setting or another load",
             f"if it was so, check it again with --moved --repeat 5; if not, look whether {found.moved[0].joint} has "
             f"slipped, then {repair}",
         )
@@ -442,10 +442,10 @@ def _advice(found: Outlook, repair: str) -> tuple[str, str]:
         return f"No change since {since}", repair if found.over else later
     others = {one.joint or "the tool" for one in found.changes if one.state == found.state}
     also = ", ".join(sorted(others - {worst.joint or "the tool"}))
-    return f"{cause_of(found)} ({found.state}){also and f'; also {also}'}", _act(found, worst, repair)
+    return f"{_cause_of(found)} ({found.state}){also and f'; also {also}'}", _act(found, worst, repair)
 
 
-def cause_of(found: Outlook) -> str:
+def _cause_of(found: Outlook) -> str:
     """Name what changed most, or return an empty text."""
     if found.moved:
         zeros = (f"{one.joint} by {abs(one.degrees):.1f} deg" for one in found.moved)
