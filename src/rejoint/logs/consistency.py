@@ -329,14 +329,13 @@ def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
     excess = np.maximum(motion.position - arm.upper, arm.lower - motion.position) * ~_endless(arm)
     far, worst = (excess > LIMIT_MARGIN).mean(axis=0), excess.max(axis=0)
     for joint in np.flatnonzero(worst > 0):
-        beyond = f"state: {motion.columns[joint]} is beyond the limits of joint {arm.joint_names[joint]}"
-        if far[joint] > FAR_OUT:
-            said = (
-                f"{beyond} ({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad) in {100 * far[joint]:.0f} % of the "
-                f"samples, by up to {worst[joint]:.3g} rad"
-            )
-            yield said, f"check unit, joint order and zero posture (--angle-unit), or {GEAR_REMEDY}"
-        yield f"{beyond} in {(excess[:, joint] > 0).sum()} samples, by up to {worst[joint]:.3g} rad", ""
+        said = (
+            f"state: {motion.columns[joint]} is beyond the limits of joint {arm.joint_names[joint]} "
+            f"({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad) in {(excess[:, joint] > 0).sum()} samples, by up "
+            f"to {worst[joint]:.3g} rad"
+        )
+        remedy = f"check unit, joint order and zero posture (--angle-unit), or {GEAR_REMEDY}"
+        yield said, remedy if far[joint] > FAR_OUT else ""
     if len(motion) >= SPEED_ROWS:
         yield from _check_motion(motion, arm)
 
@@ -435,10 +434,9 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int] = ()) -> Iterator
             yield said, "give states and commands in one unit"
         low, apart, high = np.percentile(error[:, joint], (10, 50, 90))
         if abs(apart) > APART / 2:
-            said = f"{name} is {np.rad2deg(apart):.0f} deg from its command (median)"
-            if abs(apart) > APART and high - low < abs(apart) / 2 and gain > FOLLOWED:
-                yield said, "check unit, joint order and zero of states and commands"
-            yield f"state: {said}: a weak servo, or another zero", ""
+            said = f"{name} is {np.rad2deg(apart):.0f} deg from its command (median): a weak servo, or another zero"
+            everywhere = abs(apart) > APART and high - low < abs(apart) / 2 and gain > FOLLOWED
+            yield said, "check unit, joint order and zero of states and commands" if everywhere else ""
     yield from _check_lag(motion, command)
 
 
@@ -453,9 +451,8 @@ def _check_copies(motion: RecordedMotion, command: Array) -> Iterator[Remark]:
         same = moving & (np.abs(command[sooner] - motion.position[later]) <= SAME)
         copied = (same.sum(axis=0) > COPIED * moving.sum(axis=0)) & (moving.sum(axis=0) >= FEWEST_MOVING)
         if copied.any():
-            names = "all joints" if copied.all() else ", ".join(np.array(motion.columns)[copied])
-            when = f"{abs(lag)} row(s) {'later' if lag > 0 else 'earlier'}" if lag else "in the same row"
-            said = f"the states of {names} are copies of the commands, {when}: such a log shows no arm"
+            names = ", ".join(np.array(motion.columns)[copied])
+            said = f"the states of {names} are copies of the commands, {lag} row(s) later: such a log shows no arm"
             yield said, "record what the encoders say and what was sent"
             return
 
@@ -464,13 +461,8 @@ def _check_lag(motion: RecordedMotion, command: Array) -> Iterator[Remark]:
     lag = find_lag(motion.time, motion.position, command)
     if lag is None or lag.plausible:
         return
-    side, more = "before" if lag.best < 0 else "after", " or more" * (round(abs(lag.best), 1) == SEARCHED)
-    said = f"best {abs(lag.best):.2g} s{more} {side} them, expected {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} s after"
-    if not lag.sure:
-        shows = "this motion does not tell surely whether the clocks differ"
-        yield f"state: follows its commands {said}; {shows}", ""
-        return
-    cause = "commands are goals that something else moves to, or the clocks differ"
-    if lag.best < 0:
-        cause = "states are stamped before their commands or on another clock, or both are exchanged"
-    yield f"the states follow their commands {said}: {cause}", "record both with the stamps of one clock"
+    said = (
+        f"the states follow their commands best after {lag.best:.2g} s, expected {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g}: "
+        "perhaps clocks differ, both are exchanged, or commands are goals that something else moves to"
+    )
+    yield said, "record both with the stamps of one clock" if lag.sure else ""

@@ -113,38 +113,31 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
 
     motion, remarks = clean(motion)
     take(remarks)
-    extra, origin = motion.extra, np.floor(motion.time[0])
-    if origin >= _EPOCH:
-        motion = replace(motion, time=motion.time - origin)
-        extra = {**extra, "clock_origin_s": f"{origin:.0f}"}
+    if motion.time[0] >= _EPOCH:
+        motion = replace(motion, time=motion.time - np.floor(motion.time[0]))
     take(check_units(motion, arm, options))
     motion, remarks = unwrapped(motion, arm)
     take(remarks)
     motion, remarks = without_spikes(motion)
     take(remarks)
     take(check_states(motion, arm))
-    rows = len(motion)
-    if motion.command is None:
+    command = motion.command
+    if command is None:
         notes.append(NO_COMMANDS)
+        command = np.full_like(motion.position, np.nan)
     else:
-        powered = (motion.more.get("gain", np.ones((rows, 1))) != 0).any(axis=-1)
+        powered = (motion.more.get("gain", np.ones_like(command)) != 0).any(axis=-1)
         off = [joint for joint, name in enumerate(arm.joint_names) if name in options.torque_off]
         take(check_agreement(motion.take(powered), off))
         if not powered.all():
             notes.append(f"state: {(~powered).sum()} rows without torque")
-    unknown = np.full((rows, 3), np.nan)
     told = {FORCED: BETWEEN.join(reasons), UNPOWERED: ",".join(options.torque_off)}
-    log = RunLog(
-        arm=arm.name,
-        joint_names=arm.joint_names,
+    log = replace(
+        RunLog.of(motion.time, command, motion.position, arm=arm, label=motion.name),
         robot=motion.robot,
-        label=motion.name,
-        time=motion.time,
-        position=motion.position,
-        command=np.full_like(motion.position, np.nan) if motion.command is None else motion.command,
-        extra={**extra, **{key: text for key, text in told.items() if text}},
+        extra={**motion.extra, **{key: text for key, text in told.items() if text}},
         units=dict(motion.units),
-        **{"target": unknown, "true_tcp": unknown, **motion.more},
+        **dict[str, Any](motion.more),
     )
     notes.extend(
         f"state: {one} never answers its command: unpowered, too weak or stuck (--torque-off {one})"
