@@ -14,7 +14,7 @@ from rejoint.diagnosis import diagnosis as diagnosing
 from rejoint.diagnosis.diagnosis import diagnose_logs
 from rejoint.diagnosis.healthy import reference_by
 from rejoint.diagnosis.metrics import fit_law
-from rejoint.diagnosis.segments import FREE, join_logs, log_of, resting_postures
+from rejoint.diagnosis.segments import FREE, join_logs, resting_postures
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.exclusions import Exclusions, find_exclusions
 from rejoint.system.errors import InputError
@@ -188,10 +188,10 @@ def test_spans_hold_free_rows_of_one_log(logs):
     starts = np.cumsum([0, *(len(log) for log in entry)])
     for segment in data.segments:
         rows = data.rows(segment)
-        log = log_of(segment)
+        log = segment.log
         assert starts[log] <= rows[0] <= rows[-1] < starts[log + 1]
         assert excluded[log].free[rows - starts[log]].all()
-    free = [s for s in data.of_kind(FREE) if log_of(s) == 1]
+    free = [s for s in data.of_kind(FREE) if s.log == 1]
     assert len(free) == 2
     assert (np.diff(data.log.time) > 0).all()
     np.testing.assert_array_equal(data.log.position, np.concatenate([log.position for log in entry]))

@@ -36,7 +36,6 @@ def test_only_the_last_second_of_each_target_counts():
 def test_errors_by_hand():
     found = open_loop_errors(ARM, made_up())
     assert [t.error_mm for t in found.targets] == pytest.approx([5.0, 10.0, 10.0])
-    assert [t.sag_mm for t in found.targets] == pytest.approx([4.0, 10.0, 8.0])
     assert found.error_mm.value == pytest.approx(25 / 3)
     assert found.spread_mm == pytest.approx(np.std([5, 10, 10], ddof=1))
     assert found.hidden_mm == pytest.approx(2.0)

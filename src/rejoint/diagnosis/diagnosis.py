@@ -255,7 +255,7 @@ def _untold(measurement: Measurement) -> tuple[str, ...]:
     for quantity, words in UNKNOWN.items():
         joints = [row.joint for row in rows if getattr(row, quantity) is None]
         if joints:
-            told.append(words.format(", ".join(joints)))
+            told.append(words.format("every joint" if len(joints) == len(rows) else ", ".join(joints)))
     over = measurement.torque_over_load or 1.0
     if not 1.0 / AGREE < over < AGREE:
         told.append(

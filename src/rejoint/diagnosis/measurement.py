@@ -89,6 +89,9 @@ SAME_KIND = 0.25
 MOTOR_SHARE = 0.35
 """Relative half width of a known motor inertia; chosen"""
 
+NOT_KNOWN = Estimate(np.nan, np.nan, np.nan)
+"""Stands for numbers that are not known: no comparison with it holds"""
+
 OFFSET_ALLOWED = 0.01
 """[rad] offset of a healthy joint without load; chosen: 2 mm at a myCobot 280's tool"""
 
@@ -152,11 +155,9 @@ class Measurement:
 
         Joints that gravity hardly loads do not sag.
         """
-        stiffness = [row.stiffness_nm_per_rad for row in self.joints]
-        offset = [row.offset_rad for row in self.joints]
-        sag = np.array([np.nan if one is None else 1.0 / one.value for one in stiffness])
+        sag = 1.0 / np.array([(row.stiffness_nm_per_rad or NOT_KNOWN).value for row in self.joints])
+        lead = -np.array([(row.offset_rad or NOT_KNOWN).value for row in self.joints])
         light = largest_loads(arm) < LIGHT * torque_size(arm)
-        lead = np.array([np.nan if one is None else -one.value for one in offset])
         return np.where(np.isnan(sag) & light, 0.0, sag), lead
 
 
@@ -190,7 +191,7 @@ def measure_logs(data: ExcitationLog) -> Measurement:
         joints=tuple(rows),
         period_s=data.log.period,
         effort_unit=data.effort_unit,
-        torque_over_load=_over_load(_by_torque(data)),
+        torque_over_load=_over_load(data),
     )
 
 
@@ -317,15 +318,10 @@ def _over_load(data: ExcitationLog) -> float | None:
 
 def _known(data: ExcitationLog, laws: Sequence[Law | None]) -> list[Estimate | None]:
     by_sag = _by_sag(data.arm, [None] * data.arm.joints if ZEROS in data.log.extra else laws, KNOWN_WITHIN)
-    data = _by_torque(data)
     if not 1.0 / SURE_WITHIN < (_over_load(data) or 1.0) < SURE_WITHIN:
         return by_sag  # the column holds no torques of the joints: another unit or sign, or before the gear
     by_torque = [_slope(fit_torque(data, joint), TORQUES, KNOWN_WITHIN) for joint in range(data.arm.joints)]
     return [one or sag for one, sag in zip(by_torque, by_sag, strict=True)]
-
-
-def _by_torque(data: ExcitationLog) -> ExcitationLog:
-    return replace(data, log=replace(data.log, current=None))  # which would count instead
 
 
 def _by_sag(arm: Arm, laws: Sequence[Law | None], ratio: float) -> list[Estimate | None]:

@@ -35,7 +35,6 @@ from rejoint.diagnosis.segments import (
     SWEEP,
     ExcitationLog,
     Segment,
-    log_of,
 )
 from rejoint.logs.exclusions import free_runs, joint_speed, velocity
 from rejoint.system.numbers import interpolated
@@ -232,7 +231,7 @@ def _motion(data: ExcitationLog, joint: int, delays: Array = _NONE, fast: bool =
     chosen = np.abs(found.direction) > _MOVING
     if not fast:
         chosen &= (np.abs(found.speed) < _SLOW) & (np.abs(found.acceleration) < _GENTLE)
-    logs = PER_SET * np.array([log_of(segment) for segment in segments], dtype=np.intp)
+    logs = PER_SET * np.array([segment.log for segment in segments], dtype=np.intp)
     segment, piece = np.divmod(found.cluster, 1000)  # pieces of half of `_LONG`
     pieces = 1 if fast else 2 if data.of_kind(SWEEP) else 4  # an excitation turns back every few seconds
     loaded = len(found.gravity) > 0 and np.ptp(found.gravity) > _MIN_TORQUE_RANGE * torque_size(data.arm)

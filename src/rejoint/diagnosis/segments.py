@@ -35,7 +35,7 @@ class Segment:
     """A named span of an excitation."""
 
     name: str
-    """unique, such as ``step/2/0``"""
+    """such as ``step/2/0``"""
     kind: str
     """approach, still, sweep, step, multisine or hold"""
     start: float
@@ -44,6 +44,8 @@ class Segment:
     """[s]"""
     joints: tuple[int, ...] = ()
     """that it judges"""
+    log: int = 0
+    """number of its log, of several"""
 
 
 def attach_segments(log: RunLog, segments: Sequence[Segment], waits: Array) -> RunLog:
@@ -86,7 +88,7 @@ class ExcitationLog:
         if _KEY not in log.extra:
             raise InputError(f"run log {log.label} holds no excitation; record one with `rejoint diagnose`")
         segments = msgspec.json.decode(log.extra[_KEY], type=tuple[Segment, ...])
-        free = Segment(name="0/free", kind=FREE, start=float(log.time[0]), stop=float(log.time[-1]))
+        free = Segment(name=FREE, kind=FREE, start=float(log.time[0]), stop=float(log.time[-1]))
         return cls(arm=arm, log=log, segments=(*segments, free))
 
     @cached_property
@@ -109,14 +111,14 @@ class ExcitationLog:
 
     @property
     def effort(self) -> Array:
-        """(T, n) measured current, else torque, else NaN."""
-        found = self.log.torque if self.log.current is None else self.log.current
+        """(T, n) measured torque, else current, else NaN."""
+        found = self.log.current if self.log.torque is None else self.log.torque
         return np.full_like(self.log.position, np.nan) if found is None else found
 
     @property
     def effort_unit(self) -> str | None:
         """Empty where the log does not say it; None without a column."""
-        name = "torque" if self.log.current is None else "current"
+        name = "current" if self.log.torque is None else "torque"
         return None if getattr(self.log, name) is None else self.log.units.get(name, "")
 
     def of_kind(self, kind: str, joint: int | None = None) -> list[Segment]:
@@ -181,7 +183,7 @@ _SAME = 1e-6
 
 
 def join_logs(arm: Arm, excluded: Sequence[Exclusions]) -> ExcitationLog:
-    """Join logs on one clock, spans named by log number."""
+    """Join logs on one clock."""
     segments, logs = list[Segment](), [rows.log for rows in excluded]
     times, begin = [], 0.0
     for number, rows in enumerate(excluded):
@@ -205,17 +207,12 @@ def join_logs(arm: Arm, excluded: Sequence[Exclusions]) -> ExcitationLog:
     return ExcitationLog(arm=arm, log=everything, segments=tuple(segments))
 
 
-def log_of(segment: Segment) -> int:
-    """Return the number of a span's log."""
-    return int(segment.name.partition("/")[0])
-
-
 def _spans(number: int, rows: Exclusions, time: Array) -> Iterator[Segment]:
     log, free = rows.log, rows.free
 
     def segment(kind: str, first: int, last: int, joints: tuple[int, ...]) -> Segment:
-        name = f"{number}/{kind}/{joints[0] if kind == STEP else 'all'}/{first}"
-        return Segment(name=name, kind=kind, start=float(time[first]), stop=float(time[last - 1]), joints=joints)
+        start, stop = float(time[first]), float(time[last - 1])
+        return Segment(name=kind, kind=kind, start=start, stop=stop, joints=joints, log=number)
 
     everyone = tuple(range(log.position.shape[1]))
     still = np.concatenate([np.ones((1, len(everyone)), dtype=bool), np.abs(np.diff(log.command, axis=0)) < _SAME])
@@ -261,8 +258,6 @@ class TargetError:
     target_mm: tuple[float, float, float]
     error_mm: float
     """settled, by encoders"""
-    sag_mm: float
-    """downward part; negative: too high"""
     true_error_mm: float | None
     """of the tool itself"""
 
@@ -309,7 +304,6 @@ def open_loop_errors(arm: Arm, log: RunLog) -> OpenLoop:
         TargetError(
             target_mm=tuple((1e3 * log.target[part[0]]).tolist()),
             error_mm=float(error),
-            sag_mm=1e3 * float((log.target[part] - tcp[part])[:, 2].mean()),
             true_error_mm=float(true) if known else None,
         )
         for part, error, true in zip(rows, errors, truth, strict=True)

@@ -11,7 +11,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, gravity_torque, levers
 from rejoint.arms.workspace import length_size
 from rejoint.diagnosis.healthy import OVERSHOOT_ALLOWED, HealthyReference
-from rejoint.diagnosis.measurement import OFFSET_ALLOWED, JointMetrics, Measurement
+from rejoint.diagnosis.measurement import NOT_KNOWN, OFFSET_ALLOWED, JointMetrics, Measurement
 from rejoint.diagnosis.regression import mean_of
 from rejoint.diagnosis.segments import Postures
 from rejoint.system.records import entity, value_type
@@ -49,9 +49,6 @@ UNLOADED = 1e-6
 
 WORKING_SPEED = 0.5
 """[rad/s] at which a lag becomes millimetres; chosen"""
-
-NOT_KNOWN = Estimate(np.nan, np.nan, np.nan)
-"""Stands for numbers that are not known: no comparison with it holds"""
 
 
 @value_type

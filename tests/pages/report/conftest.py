@@ -42,8 +42,7 @@ def diagnosis(arm):
     good = tuple(joint_metrics(sample, 38.0, 0.04) for sample in healthy.joints)
     errors = rng.uniform(12, 35, TARGETS)
     targets = tuple(
-        TargetError(target_mm=(150.0, 0.0, 200.0), error_mm=float(e), sag_mm=float(e) * 0.9, true_error_mm=float(e) + 5)
-        for e in errors
+        TargetError(target_mm=(150.0, 0.0, 200.0), error_mm=float(e), true_error_mm=float(e) + 5) for e in errors
     )
     return Diagnosis(
         arm=arm.name,
