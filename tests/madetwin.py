@@ -13,7 +13,7 @@ from rejoint.twin.twin import HeldOut, PredictionError, Twin
 def made_twin(arm, parameters, **facts):
     """A twin whose parameters are known to a tenth of what was known before."""
     belief = prior(arm)
-    error = PredictionError(joints=(0.01,) * arm.joints, joint=0.01, tcp=1e-3)
+    error = PredictionError(joint=0.01, tcp=1e-3)
     found = {
         "covariance": np.diag((0.1 * belief.sigma) ** 2),
         "narrowing": np.full(len(belief.mean), 0.1),

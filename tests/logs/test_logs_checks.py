@@ -82,5 +82,5 @@ def test_a_joint_that_turns_all_around_has_no_end() -> None:
 def test_joints_outside_their_limits():
     position = GOOD.position.copy()
     position[:, 1] += 1.4 * np.exp(-(((np.arange(200) - 30) / 12) ** 2))
-    outside = (position[:, 1] > ARM.upper[1]).sum()
-    assert f"beyond the limits of joint shoulder_lift in {outside} samples" in check(position=position)[1]
+    outside = 100 * (position[:, 1] > ARM.upper[1]).mean()
+    assert f"rad) in {outside:.3g} % of the samples" in check(position=position)[1]

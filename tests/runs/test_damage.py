@@ -85,7 +85,7 @@ def make_twin(path):
 
 def plain_twin(path):
     twin = read_twin(path, ARM)
-    plain = [pack(twin.parameters), twin.covariance, twin.lower, twin.upper, twin.narrowing, twin.held_out.twin.joints]
+    plain = [pack(twin.parameters), twin.covariance, twin.lower, twin.upper, twin.narrowing, twin.held_out.twin.tcp]
     return [np.asarray(array).tolist() for array in plain], twin.fit_seconds, twin.held_out.seconds, twin.notes
 
 

@@ -62,7 +62,7 @@ names = np.array(vector_names(arm.joint_names))
 place = problem.layout.at("asymmetry")
 print(*names[place], sep=",")
 print(*found.vector[place], sep=",")
-error, sigma = PredictionError(joints=(0.0,) * 6, joint=0.0, tcp=0.0), 0.1 * belief.sigma
+error, sigma = PredictionError(joint=0.0, tcp=0.0), 0.1 * belief.sigma
 twin = Twin(arm=arm.name, joint_names=arm.joint_names, parameters=truth, covariance=np.diag(sigma**2),
             lower=belief.lower, upper=belief.upper, narrowing=sigma / belief.sigma, identified=sigma > 0.0,
             held_out=HeldOut(seconds=1.0, no_twin=error, healthy_twin=error, twin=error), fit_seconds=1.0)

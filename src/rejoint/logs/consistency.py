@@ -331,8 +331,8 @@ def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
     for joint in np.flatnonzero(worst > 0):
         said = (
             f"state: {motion.columns[joint]} is beyond the limits of joint {arm.joint_names[joint]} "
-            f"({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad) in {(excess[:, joint] > 0).sum()} samples, by up "
-            f"to {worst[joint]:.3g} rad"
+            f"({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad) in {100 * (excess[:, joint] > 0).mean():.3g} % of "
+            f"the samples, by up to {worst[joint]:.3g} rad"
         )
         remedy = f"check unit, joint order and zero posture (--angle-unit), or {GEAR_REMEDY}"
         yield said, remedy if far[joint] > FAR_OUT else ""

@@ -127,8 +127,8 @@ def _mean(errors: Sequence[Errors]) -> Errors:
         known = [one for e in errors if (one := getattr(e, part)) is not None]
         if not known:
             return None
-        joints, joint, tcp = (np.mean([getattr(one, f) for one in known], axis=0) for f in ("joints", "joint", "tcp"))
-        return PredictionError(joint=float(joint), joints=tuple(joints.tolist()), tcp=float(tcp))
+        joint, tcp = (float(np.mean([getattr(one, name) for one in known])) for name in ("joint", "tcp"))
+        return PredictionError(joint=joint, tcp=tcp)
 
     return Errors(**{part: mean(part) for part in ("free", "contact", "all")})
 

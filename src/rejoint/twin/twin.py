@@ -46,8 +46,6 @@ class PredictionError:
 
     joint: float
     """[rad] over all joints"""
-    joints: tuple[float, ...]
-    """(n,) [rad]"""
     tcp: float
     """[m] of the TCP by encoders"""
 
@@ -89,10 +87,9 @@ class Judgement(Readable):
 def prediction_error(arm: Arm, predicted: Array, measured: Array) -> PredictionError:
     """Compare positions (T, n) [rad]."""
     difference = predicted - measured
-    joints = np.sqrt(np.mean(difference**2, axis=0))
     gap = tcp_position(arm, predicted) - tcp_position(arm, measured)
     tcp = np.sqrt(np.mean(np.sum(gap**2, axis=-1)))
-    return PredictionError(joints=tuple(joints.tolist()), joint=float(np.sqrt(np.mean(difference**2))), tcp=float(tcp))
+    return PredictionError(joint=float(np.sqrt(np.mean(difference**2))), tcp=float(tcp))
 
 
 def smaller(ours: Array, theirs: Array) -> bool:

@@ -85,7 +85,7 @@ def twin(arm):
     covariance[0, 6 * n] = covariance[6 * n, 0] = 0.95 * sigma[0] * sigma[6 * n]  # stiffness of joint 1, delay
 
     def error(scale):
-        return PredictionError(joints=(scale * 0.01,) * n, joint=scale * 0.01, tcp=scale * 2.5e-3)
+        return PredictionError(joint=scale * 0.01, tcp=scale * 2.5e-3)
 
     return made_twin(
         arm,
