@@ -113,10 +113,10 @@ class Diagnosis(Readable):
     """largest tool error first"""
     unseen: tuple[str, ...]
     """what encoders cannot tell, in sentences"""
-    open_loop: OpenLoop | None
-    """None for logs of other motion"""
     measurement: Measurement
     healthy: HealthyReference | None
+    open_loop: OpenLoop | None = None
+    """None for logs of other motion"""
     evidence: Evidence | None = None
     """of a diagnosis from logs"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
@@ -129,8 +129,8 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
     loop = open_loop_errors(arm, logs.targets)
     rest = settled_postures(logs.targets)
     findings = find(arm, measurement, rest, healthy)
-    least, usual = loop.error_mm.low, None if healthy is None else healthy.error_mm
-    unexplained = not findings and usual and usual.high and least is not None and least > usual.high
+    most = (healthy and healthy.error_mm and healthy.error_mm.high) or np.inf
+    unexplained = not findings and (loop.error_mm.low or 0.0) > most
     nothing = _nothing(arm, measurement, rest, healthy)
     if unexplained:
         nothing = (
@@ -194,7 +194,10 @@ def diagnose_logs(
         arm=arm.name,
         robot=source,
         condition="worn" if grown else _condition(findings, measurement, healthy),
-        verdict=f"{_resting(evidence, healthy)}{told} {doubt and f'But {doubt}. '}{_motions(evidence)}",
+        verdict=(
+            f"{_resting(evidence, healthy)}{told} {doubt and f'But {doubt}. '}Recorded motions: {evidence.motions}, "
+            f"{evidence.free_seconds:.0f} s in free space{evidence.left_out}."
+        ),
         findings=findings,
         unseen=(
             *(
@@ -205,16 +208,10 @@ def diagnose_logs(
             BEHIND,
             *(f"{remark}." for remark in remarks_on(logs)),
         ),
-        open_loop=None,
         measurement=measurement,
         healthy=healthy,
         evidence=evidence,
     )
-
-
-def ringing_most(findings: tuple[Finding, ...]) -> Finding | None:
-    """Return the finding of the joint that rings most, if any."""
-    return min((f for f in findings if f.kind == "low_damping"), key=lambda f: f.measured.value, default=None)
 
 
 def _condition(findings: tuple[Finding, ...], measurement: Measurement, healthy: HealthyReference | None) -> str:
@@ -227,7 +224,7 @@ def _condition(findings: tuple[Finding, ...], measurement: Measurement, healthy:
 def _verdict_of(
     findings: tuple[Finding, ...], error: Estimate | None, healthy: HealthyReference | None, nothing: str
 ) -> str:
-    """Name the worst findings of the three worst joints, and count the others; ``nothing`` without findings."""
+    """Name the worst findings of the three worst joints, and the others; ``nothing`` without findings."""
     if not findings:
         return nothing
     felt = [finding for finding in findings if finding.felt] or findings
@@ -244,7 +241,7 @@ def _verdict_of(
 
 
 def _usual(healthy: HealthyReference | None) -> str:
-    if healthy is None or healthy.error_mm is None:
+    if not (healthy and healthy.error_mm):
         return ""
     setting = healthy.setting and f" with {healthy.setting}"
     return f"; a healthy arm of this kind{setting}: {healthy.error_mm.value:.1f} mm"
@@ -321,18 +318,12 @@ def _resting(evidence: Evidence, healthy: HealthyReference | None) -> str:
     )
 
 
-def _motions(evidence: Evidence) -> str:
-    return f"Recorded motions: {evidence.motions}, {evidence.free_seconds:.0f} s in free space{evidence.left_out}."
-
-
 def _nothing(arm: Arm, measurement: Measurement, rest: Postures, healthy: HealthyReference | None) -> str:
-    unmeasured = [row.joint for row in measurement.joints if row.lag_s is None]
-    if len(unmeasured) < len(measurement.joints):
-        left = f"; the motion does not tell about {', '.join(unmeasured)}" if unmeasured else ""
+    if any(row.lag_s is not None for row in measurement.joints):
         if healthy is None:
             known = "Wear shows only beside a healthy arm of this kind, and none is known (--healthy)."
-            return f"No joint is seen to be at fault{left}.{_farthest(arm, rest)} {known}"
-        return f"No joint shows wear that its encoder can see{left}."
+            return f"No joint is seen to be at fault.{_farthest(arm, rest)} {known}"
+        return "No joint shows wear that its encoder can see."
     why = "no joint moves slowly and in both directions for long enough"
     if measurement.period_s > COARSEST:
         why = f"readings are {measurement.period_s:.3g} s apart, expected at most {COARSEST:g} s"

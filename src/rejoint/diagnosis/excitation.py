@@ -197,7 +197,7 @@ def fitted(arm: Arm, plan: Plan, build: Callable[[Plan], Excitation]) -> Excitat
     """Motion that ``build`` makes of the plan, slowed for the arm, with safe amplitudes."""
     if why := unsafe(arm, arm.rest):
         raise InputError(f"arm {arm.name}: its rest posture is not safe to excite it about: {why}; {_REMEDY}")
-    plan, where = _slowed(plan, arm), "its beginning"
+    plan = _slowed(plan, arm)
     for _ in range(_ATTEMPTS):
         motion = build(plan)
         time = np.union1d(motion.time, np.arange(0.0, motion.duration, 0.05))

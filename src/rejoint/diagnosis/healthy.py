@@ -105,22 +105,19 @@ def healthy_reference(
     if _new(arm) is None or not ((p > 0.0) & (share > 0.0)).all():
         return _laden(_measured(own, AS_SOLD), arm)
     typical = np.exp(np.log(p).mean())
-    nearest = [_nearest(one) for one in (typical, *p)]
-    known = {of: _laden(_measured(own, of), arm) for of in set(nearest)}
-    rows = []
-    for joint, of in enumerate(nearest[1:]):
-        row, stiffer = known[of].joints[joint], p[joint] / of * share[joint]
+    nearest = min(MEASURED, key=lambda one: abs(np.log(typical / one)))
+    whole, rows = _laden(_measured(own, nearest), arm), []
+    for row, stiffer in zip(whole.joints, (p / nearest * share).tolist(), strict=True):
         k, width = row.stiffness_nm_per_rad, row.hysteresis_rad
         k, width = k and scaled(k, stiffer), width and scaled(width, 1.0 / stiffer)
         rows.append(replace(row, stiffness_nm_per_rad=k, hysteresis_rad=width))
-    whole, softer = known[nearest[0]], nearest[0] / typical / share.mean()
     supply = "" if voltage is None else f"a supply of {np.median(voltage):.1f} V"
     named = f"P = {', '.join(f'{one:g}' for one in dict.fromkeys(p))}"
     setting = " and ".join(filter(None, (whole.setting, named, supply)))
     return replace(
         whole,
         joints=tuple(rows),
-        error_mm=whole.error_mm and scaled(whole.error_mm, softer),
+        error_mm=whole.error_mm and scaled(whole.error_mm, nearest / typical / share.mean()),
         source=f"{whole.source}, with {setting}",
         setting=setting,
     )
@@ -128,10 +125,6 @@ def healthy_reference(
 
 def _new(arm: Arm) -> str | None:
     return NEW.get(arm.name) if arm.servos else None
-
-
-def _nearest(p: float) -> int:
-    return min(MEASURED, key=lambda one: abs(np.log(p / one)))
 
 
 def _measured(arm: Arm, p: int) -> HealthyReference:

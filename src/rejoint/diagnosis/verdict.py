@@ -261,9 +261,8 @@ def low_damping(case: _Case) -> Found:
         return None
     if case.row.torque_limit_nm is not None and not case.low("overshoot") >= OVERSHOOT_ALLOWED:
         return None
-    likely = "" if ratio.low is None else f" ({ratio.low:.2f} to {ratio.high:.2f})"
     return case.lever * over * 0.2, (
-        f"rings: its damping ratio is {ratio.value:.2f}{likely}{case.against('damping_ratio', '.2f')}; after a step of "
+        f"rings: its damping ratio is {ratio.value:.2f}{case.against('damping_ratio', '.2f')}; after a step of "
         f"0.2 rad it shoots {over * 100:.0f} % too far before it settles,"
     )
 

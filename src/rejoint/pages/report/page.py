@@ -25,7 +25,7 @@ from rejoint.diagnosis.calibration import calibration, fit
 from rejoint.diagnosis.calibration.calibration import Calibration, read_calibration
 from rejoint.diagnosis.calibration.measurements import Measurements, read_measurements
 from rejoint.diagnosis.calibration.procedure import reversals
-from rejoint.diagnosis.diagnosis import Diagnosis, ringing_most
+from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.segments import modelled_errors
 from rejoint.logs.runfolder import LOGS, Effort, KeptSettings, RunFolder, RunInfo, cost, read_info, read_settings
 from rejoint.logs.runlog import RunLog, read_parquet
@@ -293,7 +293,7 @@ def tilt(found: Calibration) -> float:
 
 
 _CALLED: list[Any] = [target_errors, tilt, above_zero, colour_number, cost, in_base, own_policy, reach]
-_CALLED += [reversals, ringing_most, recommend, calibration, fit, parameters, protocols, tables]
+_CALLED += [reversals, recommend, calibration, fit, parameters, protocols, tables]
 _NAMES = {one.__name__.rpartition(".")[2]: one for one in _CALLED}
 """What the templates of report and data sheet call"""
 
