@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
 from functools import cached_property
 from itertools import compress
 from operator import methodcaller
@@ -14,7 +13,7 @@ import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.system.errors import ContractError, InputError
-from rejoint.system.files import array_of, digest, read_sealed, toml_of, write_sealed
+from rejoint.system.files import Number, Positive, array_of, digest, read_sealed, toml_of, write_sealed
 from rejoint.system.records import Readable, entity, value_type
 from rejoint.system.statistics import NORMAL95, above_zero, bootstrap_mean
 from rejoint.twin.parameters import (
@@ -116,19 +115,15 @@ class HeldOut:
 class TablePlane:
     """A plane under the tip."""
 
-    height: float
+    height: Number
     """[m] of the TCP in contact, below the base's origin"""
-    slope_x: float
+    slope_x: Number
     """along the base's x"""
-    slope_y: float
-    stiffness: float
+    slope_y: Number
+    stiffness: Positive
     """[N/m] of tip, links and table together, vertical"""
-    friction: float
+    friction: Positive
     """Coulomb coefficient of the tip"""
-
-    def __post_init__(self) -> None:
-        if not np.isfinite(astuple(self)).all() or self.stiffness <= 0.0 or self.friction < 0.0:
-            raise InputError(f"table: expected finite values, stiffness above 0 and friction from 0 on, got {self}")
 
 
 @entity
