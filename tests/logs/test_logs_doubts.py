@@ -130,9 +130,9 @@ def test_degrees_declared_as_normalised_and_the_reverse(tmp_path):
     as_degrees, known = ImportOptions(angle_unit="deg"), ImportOptions(angle_unit="deg", calibration=file)
     as_normalised = ImportOptions(angle_unit="normalised", calibration=file)
     for source, options, said in (
-        (degrees, as_normalised, r"states are degrees, but --angle-unit says normalised: they come in steps of 0.0879"),
-        (normalised, as_degrees, r"states are normalised values .*steps of 0.0733.*; set --angle-unit normalised"),
-        (normalised, known, r"states are normalised values .*steps of 0.0733.*; set --angle-unit normalised"),
+        (degrees, as_normalised, r"states are deg, but --angle-unit says normalised: they come in steps of 0.0879"),
+        (normalised, as_degrees, r"states are normalised, .*steps of 0.0733.*; set --angle-unit normalised"),
+        (normalised, known, r"states are normalised, .*steps of 0.0733.*; set --angle-unit normalised"),
     ):
         with pytest.raises(FileError, match=said):
             import_logs(source, ARM, out=tmp_path / "logs", options=options)

@@ -269,9 +269,7 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Ite
         if kind is None and lerobot and np.abs(raw).max() <= NORMALISED_MOST:
             yield "nothing in the file tells degrees from normalised values: compare with what the arm did", ""
         if kind not in (None, declared):
-            said = {"deg": "degrees", "normalised": "normalised values (-100 to 100)"}[str(kind)]
-            remedy = f"set --angle-unit {kind}" + " with --calibration" * (kind == "normalised")
-            yield f"the states are {said}, but --angle-unit says {declared}: {why}", remedy
+            yield f"the states are {kind}, but --angle-unit says {declared}: {why}", f"set --angle-unit {kind}"
 
 
 SPIKE = 0.05

@@ -68,8 +68,8 @@ class Journal:
         try:
             log.save(self.path)
         except FileError as error:
-            share = "What the arm did" if self.problem is None else "What was written of it before the disk was full"
-            error.add_note(f"{share} is in {self.file}; the next command in this folder makes a log of it.")
+            kept = f"What was written before is in {self.file}; the next command in this folder makes a log of it."
+            error.add_note(kept)
             raise
         self.file.unlink(missing_ok=True)
 
