@@ -124,6 +124,7 @@ def test_the_tool_at_rest_is_as_far_off_as_the_logs_say(logs, found):
     assert found["soft elbow"].evidence.rest_error_mm.low > found["healthy"].evidence.rest_error_mm.high
     assert found["unknown zeros"].evidence.rest_error_mm is None
     assert found["blocked wrist"].evidence.rest_error_mm.high < 5.0
+    assert "without wrist_flex" in found["blocked wrist"].verdict
     assert any("wrist_flex does not answer" in line for line in found["blocked wrist"].unseen)
 
 

@@ -195,8 +195,8 @@ def diagnose_logs(
         robot=source,
         condition="worn" if grown else _condition(findings, measurement, healthy),
         verdict=(
-            f"{_resting(evidence, healthy)}{told} {doubt and f'But {doubt}. '}Recorded motions: {evidence.motions}, "
-            f"{evidence.free_seconds:.0f} s in free space{evidence.left_out}."
+            f"{_resting(evidence, healthy, [*silent])}{told} {doubt and f'But {doubt}. '}"
+            f"Recorded motions: {evidence.motions}, {evidence.free_seconds:.0f} s in free space{evidence.left_out}."
         ),
         findings=findings,
         unseen=(
@@ -307,14 +307,15 @@ def _rest(excluded: Sequence[Exclusions]) -> Postures:
     return np.stack([passed, passed])
 
 
-def _resting(evidence: Evidence, healthy: HealthyReference | None) -> str:
+def _resting(evidence: Evidence, healthy: HealthyReference | None, silent: Sequence[str]) -> str:
     error = evidence.rest_error_mm
     if error is None:
         return ""
     likely = "" if error.low is None else f" ({error.low:.1f} to {error.high:.1f})"
+    without = silent and f" without {', '.join(silent)} (no answer)"
     return (
         f"Where it rests, the tool is {error.value:.1f} mm{likely} from where it was sent, by the arm's own "
-        f"encoders{_usual(healthy)}. "
+        f"encoders{without or ''}{_usual(healthy)}. "
     )
 
 

@@ -425,8 +425,10 @@ def say(found: Outlook, repair: str) -> str:
 def _advice(found: Outlook, repair: str) -> tuple[str, str]:
     worst, since = found.changes[0], _day(found.since)
     if found.moved:
+        worn = {one.joint for one in found.changes if one.state == "alarm" and one.quantity != "deviation"} - {""}
+        also = worn and f"; beside that {', '.join(sorted(worn))} wears (alarm)"
         return (
-            f"{_cause_of(found)}, which is no wear but a bump, a new setting or another load",
+            f"{_cause_of(found)}, which is no wear but a bump, a new setting or another load{also or ''}",
             f"if it was so, check it again with --moved --repeat 5; if not, look whether {found.moved[0].joint} has "
             f"slipped, then {repair}",
         )
