@@ -82,7 +82,7 @@ class ResearchGroup(CommandGroup):
 research = command_group(ResearchGroup, "research", texts("rejoint.cli")["commands"]["research"]["help"])
 
 OUT = Path("runs") / "family"
-CLASSICAL = "integrator,feedforward,tuned-feedforward,adaptive"
+CLASSICAL = "integrator,feedforward,tuned-feedforward"
 """Controllers that take part by default"""
 
 

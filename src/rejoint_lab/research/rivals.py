@@ -1,14 +1,10 @@
-"""Rivals of the policy: the paper's PID, and classical and adaptive laws with tuned gains.
+"""Rivals of the policy: the paper's PID, and a classical law with tuned gains.
 
 PID of Park et al. 2024, equations 26 and 27: ``theta_{t+1} = theta_t + Kp e_t + Ki sum(e) [dt] + Kd (e_t - e_{t-1}) /
 dt``.
 
 Gain-scheduled integral control with gravity feed-forward: a rate by distance (Rugh and Shamma, Automatica 36,
 2000), and conditional integration (Astrom and Rundqwist, ACC 1989).
-
-Adaptive regulation: Tomei, IEEE Trans. Robotics and Automation 7(4), 1991: PD plus gravity compensation Y(q) p with
-``dp/dt = G Y' (2 e / (1 + 2 e'e) - m v)``. The servo is the PD law: the command gets ``load / k + mass * lever / k +
-offset``. Dead zone: Peterson and Narendra, IEEE Trans. Automatic Control 27(3), 1982.
 
 CMA-ES (Hansen, arXiv:1604.00772) searches logarithms of gains (``rivals.toml``) on randomised
 twins, by the time to stay within 2 mm plus the settled error.
@@ -23,7 +19,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, clip_norm, gravity_torque, position_kinematics
-from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import torque_size
 from rejoint.control.comparison.protocols import metrics_of, schedule
 from rejoint.control.comparison.result import Protocol
@@ -69,31 +64,16 @@ class PidController:
         return measured + self.proportional * error + self.integral * self._sum + self.derivative * change
 
 
-class TunedLaw:
-    """What the tuned laws share: gains, nominal stiffness, and joint speeds smoothed over about two cycles."""
+class ScheduledController:
+    """The law, around a ramp to the goal posture raised against gravity of nominal servos."""
 
+    name = "tuned-feedforward"
+    _start = _raised = _integral = np.zeros(())  # until the first target
     _position = _speed = np.zeros((0, 1))  # until the first reading
 
     def __init__(self, arm: Arm, gains: Gains) -> None:
         self._arm, self._gains, self._pace = arm, SimpleNamespace(**gains), Pace()
         self._stiffness = NOMINAL_STIFFNESS * torque_size(arm)
-
-    def tick(self, state: JointState) -> tuple[Array, Array]:
-        """Time (B, 1) [s] since the last reading, and joint speeds (B, n) [rad/s]."""
-        elapsed, position = self._pace.tick(state.time)[:, None], state.position.copy()
-        if len(self._position) != len(position):
-            self._position, self._speed = position, np.zeros_like(position)
-        speed = (position - self._position) / np.where(elapsed > 0.0, elapsed, 1.0)
-        self._speed = np.where(elapsed > 0.0, 0.5 * speed + 0.5 * self._speed, self._speed)
-        self._position = position
-        return elapsed, self._speed
-
-
-class ScheduledController(TunedLaw):
-    """The law, around a ramp to the goal posture raised against gravity."""
-
-    name = "tuned-feedforward"
-    _start = _raised = _integral = np.zeros(())  # until the first target
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Take new targets of the arms in ``where`` (B,)."""
@@ -109,7 +89,7 @@ class ScheduledController(TunedLaw):
     def command(self, inputs: ControlInput) -> Array:
         """Command (B, n) [rad]."""
         arm, gains, measured = self._arm, self._gains, inputs.state.position
-        elapsed, speed = self.tick(inputs.state)
+        elapsed, speed = self._tick(inputs.state)
         seen = dls_step(arm, measured + gains.prediction * speed, inputs.target)
         distance = np.linalg.norm(seen.error, axis=-1, keepdims=True)
         rate = gains.near_rate + (gains.far_rate - gains.near_rate) * distance / (distance + gains.schedule)
@@ -121,43 +101,15 @@ class ScheduledController(TunedLaw):
         way, reach = self._raised - self._start, gains.ramp * inputs.since_target[:, None]
         return limit_position(arm, self._start + np.clip(way, -reach, reach) + self._integral + passing)
 
-
-def _stacked(*gains: float | Array) -> Array:
-    """Gains (K, 1, 1) or (K, B, 1)."""
-    return np.stack(np.broadcast_arrays(*map(np.atleast_2d, gains)))
-
-
-_UNIT_MASS = 0.1  # [kg] scale of the unknown load (chosen: brings its regressor to the size of the arm's own)
-
-
-class AdaptiveController(TunedLaw):
-    """Tomei's law for position servos."""
-
-    name = "adaptive"
-    _regressor = np.zeros(())  # until the first target
-
-    def __init__(self, arm: Arm, gains: Gains) -> None:
-        super().__init__(arm, gains)
-        self._estimate = _stacked(self._gains.prior, 0.0, 0.0)
-        self._rates = _stacked(self._gains.softness_rate, self._gains.load_rate, self._gains.offset_rate)
-
-    def reset(self, inputs: ControlInput, where: Mask) -> None:
-        """Take new goals in ``where`` (B,); the estimates stay."""
-        goal = inputs.goal
-        load = gravity_torque(self._arm, goal) / self._stiffness
-        lever = _UNIT_MASS * -GRAVITY[2] * position_kinematics(self._arm, goal)[1][..., 2, :] / self._stiffness
-        self._regressor = np.where(where[:, None], [load, lever, np.ones_like(load)], self._regressor)
-
-    def command(self, inputs: ControlInput) -> Array:
-        """Goal posture with its compensation, (B, n) [rad]."""
-        gains, (elapsed, speed) = self._gains, self.tick(inputs.state)
-        error = inputs.goal - inputs.state.position
-        outside = np.sign(error) * np.maximum(np.abs(error) - gains.dead_zone, 0.0)
-        size = np.linalg.norm(error / gains.scale, axis=-1, keepdims=True)
-        drive = outside / (1.0 + size**2) - gains.damping * speed * (np.abs(outside) > 0.0)
-        self._estimate = self._estimate + elapsed * self._rates * self._regressor * drive
-        raised = inputs.goal + (self._estimate * self._regressor).sum(axis=0)
-        return limit_position(self._arm, raised + gains.proportional * error - gains.derivative * speed)
+    def _tick(self, state: JointState) -> tuple[Array, Array]:
+        """Time (B, 1) [s] since the last reading, and joint speeds (B, n) [rad/s], smoothed over about two cycles."""
+        elapsed, position = self._pace.tick(state.time)[:, None], state.position.copy()
+        if len(self._position) != len(position):
+            self._position, self._speed = position, np.zeros_like(position)
+        speed = (position - self._position) / np.where(elapsed > 0.0, elapsed, 1.0)
+        self._speed = np.where(elapsed > 0.0, 0.5 * speed + 0.5 * self._speed, self._speed)
+        self._position = position
+        return elapsed, self._speed
 
 
 class Gain(NamedTuple):
@@ -186,7 +138,6 @@ RIVALS = {
     "pid-sum": Rival(lambda *_: PidController(literal=False), {}),
     "pid-literal": Rival(lambda *_: PidController(literal=True), {}),
     "tuned-feedforward": Rival(ScheduledController, _TABLE["tuned-feedforward"]),
-    "adaptive": Rival(AdaptiveController, _TABLE["adaptive"]),
 }
 
 

@@ -37,5 +37,5 @@ def test_calibrations_are_tried_in_the_target_region_and_anywhere(cli, tmp_path,
 def test_gains_found_before_a_search_fails_are_kept(cli, tmp_path, monkeypatch):
     found, out = [{"rate": 1.0}], tmp_path / "gains.json"
     monkeypatch.setattr("rejoint_lab.research.rivals.tune", lambda *_, **__: found.pop())
-    cli("research", "tune", "tuned-feedforward", "adaptive", "--out", out, code=None)
+    cli("research", "tune", "tuned-feedforward", "pid-sum", "--out", out, code=None)
     assert "rate" in out.read_text()

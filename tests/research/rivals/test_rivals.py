@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from rejoint.arms import gravity_torque, mycobot280, solve_position
+from rejoint.arms import mycobot280, solve_position
 from rejoint.arms.postures import find_postures
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, dls_step
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges
 from rejoint_lab.research.evaluation.evaluate import classical
-from rejoint_lab.research.rivals import AdaptiveController, Gain, Rival, ScheduledController, make_rival, tune
+from rejoint_lab.research.rivals import Gain, Rival, ScheduledController, make_rival, tune
 from standin import inputs_of, state_of
 
 ARM = mycobot280()
@@ -60,32 +60,6 @@ def test_gains_of_a_batch_act_arm_by_arm():
         np.testing.assert_array_equal(alone.command(inputs(REST, REST))[i], moved[i])
 
 
-def test_the_adaptive_law_learns_what_its_regressor_spans():
-    # A joint that is softer than believed: at rest its error is what the compensation lacks.
-    gains = {
-        "softness_rate": 20.0,
-        "load_rate": 1e-3,
-        "offset_rate": 1e-3,
-        "scale": 1.0,
-        "damping": 0.0,
-        "dead_zone": 0.0,
-        "proportional": 0.0,
-        "derivative": 0.0,
-        "prior": 0.5,
-    }
-    law, position = begun(AdaptiveController(ARM, gains), REST), REST
-    goal = solve_position(ARM, TARGET, REST).q
-    load = gravity_torque(ARM, goal)
-    truth = 1.4 * load / 6.0
-    for k in range(4000):
-        position = law.command(inputs(position, position, time=0.025 * (k + 1))) - truth
-    loaded = np.abs(load) > 0.1
-    assert loaded.sum() >= 2
-    np.testing.assert_allclose(position[loaded], goal[loaded], atol=1e-4)
-    raised = law.command(inputs(position, position, time=0.025 * 4000)) - goal  # no time passes: as at the end
-    np.testing.assert_allclose(raised[loaded] / (load / 6.0)[loaded], 1.4, atol=0.02)
-
-
 def test_the_tuning_finds_the_bottom_of_a_known_valley(monkeypatch):
     # The search itself, without arms: the cost is a bowl around one gain per decade.
     def bowl(arm, ranges, rival, gains, draw):
@@ -100,8 +74,8 @@ def test_the_tuning_finds_the_bottom_of_a_known_valley(monkeypatch):
 
 
 def test_gains_must_be_those_of_the_rival():
-    for gains in ({"adaptive": {"rate": 1.0}}, {}):  # of a file that lacks this rival
+    for gains in ({"tuned-feedforward": {"rate": 1.0}}, {}):  # of a file that lacks this rival
         with pytest.raises(InputError, match="expected"):
-            classical("adaptive", gains)
+            classical("tuned-feedforward", gains)
     with pytest.raises(InputError, match="tuned-feedforward"):
         make_rival("nobody", ARM)
