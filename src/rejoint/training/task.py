@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, Mask, gravity_torque, heights, solve_position, tcp_position
 from rejoint.arms.postures import comfortable_postures
 from rejoint.control.controllers.feedforward import Commander, CommandLaw, FeedforwardGains
-from rejoint.control.controllers.observation import ALL, Layout, Observation, Observer, Rows
+from rejoint.control.controllers.observation import Layout, Observation, Observer
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.robot import ControlInput, JointState
 from rejoint.system.errors import InputError
@@ -176,7 +176,11 @@ class ReachTask:
         late = self._step >= s.hold_steps
         reward, reached, collided = self.judge(asked, before, distance, speed, late)
         cut = (late | collided) & ~reached
-        observation, privileged = self._renew(reached | cut, collided, final, final_privileged)
+        observation, privileged = final, final_privileged
+        if (ended := reached | cut).any():
+            self._renew(ended, collided)
+            observation = self.observer.observe(self._inputs())
+            privileged = self._privileged(np.where(ended, 0.0, speed))
         return Transition(observation, privileged, final, final_privileged, reward, reached, cut, collided, distance)
 
     def judge(
@@ -206,21 +210,13 @@ class ReachTask:
         since = np.maximum(self._since - self._travel, 0.0)
         return ControlInput(state=state, target=target, goal=goal, sent=self._sent, since_target=since)
 
-    def _renew(
-        self, ended: Mask, collided: Mask, final: Observation, final_privileged: Observation
-    ) -> tuple[Observation, Observation]:
-        if not ended.any():
-            return final, final_privileged
+    def _renew(self, ended: Mask, collided: Mask) -> None:
+        """Give new targets to the arms in ``ended`` (N,), and exchange those that have had all, or ``collided``."""
         self._count[ended] += 1
         exchanged = ended & ((self._count >= self.settings.targets) | collided)
         if exchanged.any():
             self._new_arms(exchanged)
         self._new_targets(ended)
-        rows = np.flatnonzero(ended)
-        observation, privileged = final.copy(), final_privileged.copy()
-        observation[rows] = self.observer.observe(self._inputs(), rows)
-        privileged[rows] = self._privileged(np.zeros(len(rows)), rows)
-        return observation, privileged
 
     def _new_targets(self, where: Mask) -> None:
         """Draw targets for the arms in ``where`` (N,): anywhere, or in the region near the posture of the last."""
@@ -280,14 +276,14 @@ class ReachTask:
         self.observer.reset_learned(where)
         self.commander.reset_learned(self._inputs(), where)
 
-    def _privileged(self, speed: Array, rows: Rows = ALL) -> Observation:
-        """Privileged observation (N, p), or some ``rows`` of it; ``speed`` (N,) [m/s] of the TCP."""
-        twins, distance = self.simulation.twins, np.linalg.norm(self._aim[rows] - self._tcp[rows], axis=-1)
-        lag = self.simulation.reference.position[rows] - twins.qpos[rows]
-        scalars = (10.0 * distance, (np.log(distance + 0.0003) + 5.0) / 2.0, 3.0 * speed, 30.0 * self._period[rows])
-        joints = np.concatenate([0.5 * twins.qvel[rows], 4.0 * lag], axis=-1).clip(-8.0, 8.0)
+    def _privileged(self, speed: Array) -> Observation:
+        """Privileged observation (N, p); ``speed`` (N,) [m/s] of the TCP."""
+        twins, distance = self.simulation.twins, np.linalg.norm(self._aim - self._tcp, axis=-1)
+        lag = self.simulation.reference.position - twins.qpos
+        scalars = (10.0 * distance, (np.log(distance + 0.0003) + 5.0) / 2.0, 3.0 * speed, 30.0 * self._period)
+        joints = np.concatenate([0.5 * twins.qvel, 4.0 * lag], axis=-1).clip(-8.0, 8.0)
         moving = np.concatenate([np.stack(scalars, axis=-1), joints], axis=-1).astype(np.float32)
-        return np.concatenate([moving, self._constants[rows]], axis=1)
+        return np.concatenate([moving, self._constants], axis=1)
 
 
 @value_type

@@ -12,16 +12,14 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import Arm, Array, Index, Mask, collides, position_kinematics
+from rejoint.arms import Arm, Array, Mask, collides, position_kinematics
 from rejoint.arms.kinematics import DAMPING
 from rejoint.control.robot import ControlInput
 from rejoint.system.records import value_type
 
 Layout = Literal["residual", "equation-16", "equation-16-action"]
-Rows = slice | Index
 Observation = NDArray[np.float32]
 
-ALL = slice(None)
 LIMIT = 8.0
 """Observations are clipped to +-8 (chosen)"""
 
@@ -160,38 +158,32 @@ class Observer:
         """Drop learned periods where ``where`` (B,)."""
         self._period[where] = MIDDLE_PERIOD
 
-    def observe(self, inputs: ControlInput, rows: Rows = ALL) -> Observation:
-        """Observation (B, size), or of ``rows``."""
-        view = look(self.arm, inputs.state.position[rows], inputs.target[rows], inputs.goal[rows])
-        return self.numbers(inputs, view, rows).astype(np.float32)
+    def observe(self, inputs: ControlInput) -> Observation:
+        """Observation (B, size); the same once more where no time has passed."""
+        view = look(self.arm, inputs.state.position, inputs.target, inputs.goal)
+        return self.numbers(inputs, view).astype(np.float32)
 
-    def numbers(self, inputs: ControlInput, view: View, rows: Rows = ALL) -> Array:
+    def numbers(self, inputs: ControlInput, view: View) -> Array:
         """Observation by what is seen in ``view``, in full precision."""
-        xp, usual, velocity = self.xp, self._period[rows], self._velocity[rows]
-        position, time = xp.asarray(inputs.state.position[rows], copy=True), inputs.state.time[rows] + 0.0
-        elapsed = time - self._time[rows]
+        xp, usual, velocity = self.xp, self._period, self._velocity
+        position, time = xp.asarray(inputs.state.position, copy=True), inputs.state.time + 0.0
+        elapsed = time - self._time
         later = elapsed > 0.0  # not where nothing was seen before
-        latest = (position - self._position[rows]) / xp.where(later, elapsed, 1.0)[:, None]
+        latest = (position - self._position) / xp.where(later, elapsed, 1.0)[:, None]
         shifted = xp.concatenate([latest[:, None], velocity[:, :-1]], axis=1)
         period = usual + PERIOD_SMOOTHING * (elapsed.clip(None, LONGEST_PERIOD) - usual)
-        velocity, period = xp.where(later[:, None, None], shifted, velocity), xp.where(later, period, usual)
-        if rows is ALL:
-            self._position, self._time, self._velocity, self._period = position, time, velocity, period
-            self.view = view
-        else:
-            kept = self._position, self._time, self._velocity, self._period, *self.view
-            for whole, part in zip(kept, (position, time, velocity, period, *view), strict=True):
-                whole[rows] = part
-        numbers = xp.concatenate(self._parts(inputs, rows, position, view), axis=1) * self._factors
+        self._velocity, self._period = xp.where(later[:, None, None], shifted, velocity), xp.where(later, period, usual)
+        self._position, self._time, self.view = position, time, view
+        numbers = xp.concatenate(self._parts(inputs, position, view), axis=1) * self._factors
         if self.layout == "residual":
             first, last = (2 + HISTORY) * self.arm.joints, (4 + HISTORY) * self.arm.joints
             near = xp.tanh(numbers[:, first:last])
             numbers = xp.concatenate([numbers[:, :first], near, numbers[:, last:]], axis=1)
         return numbers.clip(-LIMIT, LIMIT)
 
-    def _parts(self, inputs: ControlInput, rows: Rows, position: Array, view: View) -> list[Array]:
-        waited, drive = inputs.since_target[rows].clip(None, LONGEST_WAIT), inputs.sent[rows] - position
-        velocity, action, distance = self._velocity[rows], self._action[rows], view.distance[:, None]
+    def _parts(self, inputs: ControlInput, position: Array, view: View) -> list[Array]:
+        waited, drive = inputs.since_target.clip(None, LONGEST_WAIT), inputs.sent - position
+        velocity, action, distance = self._velocity, self._action, view.distance[:, None]
         if self.layout == "residual":
             return [
                 drive,
@@ -204,7 +196,7 @@ class Observer:
                 view.error / (distance + 0.003),
                 self.xp.log(distance + 0.0003) + 5.0,
                 waited[:, None] - 0.5,
-                self._period[rows, None] - MIDDLE_PERIOD,
+                self._period[:, None] - MIDDLE_PERIOD,
                 action.reshape(len(position), -1),
             ]
         return [
@@ -212,7 +204,7 @@ class Observer:
             drive if self.layout == "equation-16" else action[:, 0],
             position,
             velocity[:, 0],
-            inputs.target[rows],
+            inputs.target,
             view.tcp,
             distance,
             collides(self._body, position)[:, None],
