@@ -140,9 +140,9 @@ def test_a_run_tells_how_far_its_arm_stood_off_in_its_diagnosis(tmp_path):
     rows = np.repeat([[0.2, 0.0, 0.2], [0.15, 0.05, 0.2]], 3, axis=0)
     position = np.tile(ARM.rest, (6, 1))
     command = position + gravity_torque(ARM, position) / 8.0
-    command[2, 3] += np.radians(20.0)  # where the first target ends; on the way to the next one it does not count
-    command[3, 2] += np.radians(50.0)
-    log = RunLog.of(0.05 * np.arange(6.0), command, position, arm=ARM, label="targets", target=rows, true_tcp=rows)
+    command[1, 3] += np.radians(20.0)  # where the first target ends; on the way to the next one it does not count
+    command[2:4, 2] += np.radians(50.0)
+    log = RunLog.of(0.6 * np.arange(6.0), command, position, arm=ARM, label="targets", target=rows, true_tcp=rows)
     log.save(run.folder.log("targets"))
     np.testing.assert_allclose(np.degrees(stance_of(twin, run).off), [0.0, 0.0, 0.0, 20.0, 0.0, 0.0], atol=1e-9)
 

@@ -7,10 +7,9 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias, TypeGuard, cast
+from typing import TypeAlias, TypeGuard, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Motors, gravity_torque, position_kinematics, tcp_position
 from rejoint.arms.kinematics import GRAVITY
@@ -56,8 +55,8 @@ from rejoint.system.errors import AddressError, ContractError, FileError, InputE
 from rejoint.twin.parameters import back_emf, lifting_torque
 from rejoint.twin.twin import Twin
 
-STILL = 0.4
-"""[s] of standing before a torque counts as load (chosen)"""
+LASTS = 1.0
+"""[s] of a visit at whose end the arm stands (chosen)"""
 ALONE, LEAST = 0.08, 0.013
 """[kg] of a myCobot 280: standard error of one posture's estimate (measured), and of many (chosen)"""
 
@@ -84,9 +83,9 @@ def believed_motors(arm: Arm, twin: Twin) -> Motors:
 
 
 def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | None:
-    """Estimate an unreported mass [kg] at the tool and its standard error; None if the arm never stood."""
-    rows = _standing(log)
-    position, own = log.position[rows], twin.parameters
+    """Estimate an unreported mass [kg] at the tool and its standard error; None without a visit to a target."""
+    rows, own = _ends(log), twin.parameters
+    position = log.position[rows]
     torque = own.stiffness * (log.command[rows] + own.offset - position)
     missing = torque - gravity_torque(arm, position)
     lever = -position_kinematics(arm, position)[1].mT @ GRAVITY  # [m^2/s^2]: torque per mass
@@ -103,16 +102,9 @@ def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | Non
     return float((lever * weight**2 * missing).sum() / total), float(doubtful)
 
 
-def _standing(log: RunLog) -> NDArray[Any]:
-    """Rows (K,) of the postures in which the arm stood for `STILL`, the last of each."""
-    steps = np.abs(np.diff(log.position, axis=0))
-    least = steps[steps > 1e-9].min(initial=np.radians(0.1))  # that the encoders show
-    sent = np.abs(np.diff(log.command, axis=0)).max(axis=1) > np.radians(0.5)
-    moved = np.append(True, (steps.max(axis=1) > 1.5 * least) | sent)
-    still = log.time - np.maximum.accumulate(np.where(moved, log.time, -np.inf)) >= STILL
-    ends = np.flatnonzero(still & ~np.append(still[1:], False))
-    another = np.abs(np.diff(log.position[ends], axis=0)).max(axis=1) > np.radians(2.0)
-    return ends[np.append(another, True)[: len(ends)]]
+def _ends(log: RunLog) -> list[int]:
+    """Rows at the ends of visits. The last row of each already has the command for the next one."""
+    return [int(visit[-2]) for visit in log.visits() if log.time[visit[-1]] - log.time[visit[0]] > LASTS]
 
 
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:
@@ -154,8 +146,9 @@ def stance_of(twin: Twin | None, run: Run | None) -> Stance | None:
     if run is None or not (path := run.folder.log("targets")).exists():
         return stance
     log, then = RunLog.load(path), _expected(run.twin or twin)  # its servos had the gains of the diagnosis
-    rests = [visit[-1] for visit in log.visits()]
-    return replace(stance, off=then.away(laden(run), log.position[rests], log.command[rests]).max(axis=0))
+    rests = _ends(log)
+    off = then.away(laden(run), log.position[rests], log.command[rests])
+    return replace(stance, off=off.max(axis=0, initial=0.0))
 
 
 def _expected(twin: Twin) -> Stance:
