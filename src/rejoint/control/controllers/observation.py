@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rejoint.arms import Arm, Array, Mask, collides, position_kinematics
 from rejoint.arms.kinematics import DAMPING
 from rejoint.control.robot import ControlInput
+from rejoint.system.files import read_shipped
 from rejoint.system.records import value_type
 
 Layout = Literal["residual", "equation-16", "equation-16-action"]
@@ -25,9 +26,6 @@ LIMIT = 8.0
 
 SUCCESS_DISTANCE = 0.005
 """[m] of buffer S; Park et al. 2024, section III-D"""
-
-POINT_SCALE = 5.0
-"""[1/m] in equation 16 (chosen)"""
 
 HISTORY = 3
 """(chosen)"""
@@ -40,7 +38,6 @@ MIDDLE_PERIOD, LONGEST_PERIOD = 0.035, 0.1
 """[s] trained; longest trusted"""
 PERIOD_SMOOTHING = 0.3
 """Share of the newest period (chosen)"""
-_ONE_DEGREE, _FIFTH_OF_A_DEGREE = np.radians(1.0), np.radians(0.2)
 
 
 @value_type
@@ -82,46 +79,34 @@ def look(arm: Arm, position: Array, target: Array, goal: Array) -> View:
     return View(tcp, error, distance, both[..., 0], away - both[..., 1])
 
 
-def _rows(layout: Layout, n: int) -> tuple[tuple[str, int, float, str], ...]:
-    if layout == "residual":
-        return (
-            ("drive", n, 4.0, "4 (s - x) [1/rad]"),
-            ("velocity", HISTORY * n, 0.5, "0.5 dx/dt [s/rad], differences of successive measurements, newest first"),
-            ("step", n, 5.0, "5 dls(e) [1/rad]"),
-            ("step.near", n, 1.0 / _ONE_DEGREE, "tanh(dls(e) / 1 deg)"),
-            ("step.fine", n, 1.0 / _FIFTH_OF_A_DEGREE, "tanh(dls(e) / 0.2 deg)"),
-            ("position", n, 1.0, "x [rad]"),
-            ("error", 3, 20.0, "20 e [1/m]"),
-            ("direction", 3, 1.0, "e / (|e| + 3 mm)"),
-            ("distance", 1, 0.5, "(ln(|e| / 1 m + 0.0003) + 5) / 2"),
-            ("waited", 1, 1.0, "min(time since the target was set, 2 s) - 0.5"),
-            ("period", 1, 20.0, "20 p - 0.7 [1/s], p the running mean of the control period"),
-            ("action", HISTORY * n, 1.0, "last actions, newest first"),
-        )
-    drive = ("drive", n, 4.0, "4 (s - x) [1/rad]"), ("action", n, 1.0, "last action")
-    return (
-        ("time", 1, 1.0, "min(time since the target was set, 2 s) [s]"),
-        drive[layout != "equation-16"],
-        ("position", n, 1.0, "x [rad]"),
-        ("velocity", n, 0.5, "0.5 dx/dt [s/rad], difference of the last two measurements"),
-        ("target", 3, POINT_SCALE, "5 target [1/m]"),
-        ("tcp", 3, POINT_SCALE, "5 tcp(x) [1/m]"),
-        ("distance", 1, POINT_SCALE, "5 |e| [1/m]"),
-        ("collision", 1, 1.0, "1 where x has a link touch another one or the ground"),
-        ("success", 1, 1.0, "1 where |e| < 5 mm"),
-    )
+class _LayoutRow(NamedTuple):
+    """A slot of an arm of any size."""
+
+    name: str
+    per_joint: bool
+    numbers: int
+    """in all, or for each joint"""
+    factor: float
+    formula: str
+
+
+_ROWS = read_shipped(__file__, "layouts.toml", dict[Layout, list[_LayoutRow]])
+
+
+def _sizes(layout: Layout, joints: int) -> list[int]:
+    return [row.numbers * (joints if row.per_joint else 1) for row in _ROWS[layout]]
 
 
 def layout_slots(layout: Layout, joints: int) -> tuple[Slot, ...]:
     """Slots in order."""
-    return tuple(Slot(name=name, size=size, formula=formula) for name, size, _, formula in _rows(layout, joints))
+    slots = zip(_ROWS[layout], _sizes(layout, joints), strict=True)
+    return tuple(Slot(name=row.name, size=size, formula=row.formula) for row, size in slots)
 
 
 @cache
 def layout_factors(layout: Layout, joints: int) -> Array:
     """Factors of the numbers in the observation."""
-    _, sizes, factors, _ = zip(*_rows(layout, joints), strict=True)
-    return np.repeat(factors, sizes)
+    return np.repeat([row.factor for row in _ROWS[layout]], _sizes(layout, joints))
 
 
 def layout_size(layout: Layout, joints: int) -> int:

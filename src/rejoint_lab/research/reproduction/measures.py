@@ -23,7 +23,7 @@ from rejoint.control.comparison.result import (
     Protocol,
     row_of,
 )
-from rejoint.control.controllers.observation import POINT_SCALE, Observation, layout_size, layout_slots
+from rejoint.control.controllers.observation import Observation, layout_factors, layout_size, layout_slots
 from rejoint.control.controllers.policy import PolicyController, load_policy
 from rejoint.pages.html import INK, LOOKS, Look, look_of
 from rejoint.pages.report.figures import WIDE, Series, Stroke, canvas, curves, plane
@@ -234,10 +234,10 @@ MEASURES = ("reward", "steps", "reached", "collided")
 
 def _point(observation: Observation, name: str) -> Array:
     """Point (N, 3) [m] in observations of equation 16."""
-    slots = layout_slots("equation-16", (observation.shape[1] - 10) // 3)
-    at = [slot.name for slot in slots].index(name)
-    begin = sum(slot.size for slot in slots[:at])
-    return observation[:, begin : begin + 3].astype(float) / POINT_SCALE
+    joints = (observation.shape[1] - 10) // 3
+    slots = layout_slots("equation-16", joints)
+    own = np.repeat([slot.name == name for slot in slots], [slot.size for slot in slots])
+    return observation[:, own].astype(float) / layout_factors("equation-16", joints)[own]
 
 
 def measure_paths(bench: Bench) -> Found:
