@@ -310,7 +310,7 @@ def _with_workspace(arm: Arm, derives: bool, notes: list[str]) -> Arm:
 
 
 def _limits(draft: Arm, notes: list[str]) -> tuple[Array, Array]:
-    size = np.where(draft.lower < draft.upper, np.abs([draft.lower, draft.upper]).max(axis=0), np.nan)
+    size = np.abs([draft.lower, draft.upper]).max(axis=0)
     given = _believed(draft, "limits", size, MOST_TURN, "turns", "+-180 deg", notes)
     return np.where(given, draft.lower, -np.pi), np.where(given, draft.upper, np.pi)
 

@@ -3,7 +3,6 @@
 Meshes may be missing. Joints outside the chain are frozen.
 """
 
-import difflib
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
@@ -208,9 +207,7 @@ def _held(model: Any, j: int, name: str, place: float | str) -> tuple[float, str
 def _index(name: str, kind: str, names: list[str]) -> int:
     if name in names:
         return names.index(name)
-    close = difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean {close[0]}? " if close else ""
-    raise InputError(f"the model has no {kind} called {name!r}; {hint}it has: {', '.join(names)}")
+    raise InputError(f"the model has no {kind} called {name!r}; it has: {', '.join(names)}")
 
 
 _PARTS: dict[str, tuple[str, ...]] = {

@@ -125,12 +125,8 @@ class Orientation:
 
 def stacked(parts: Sequence[Orientation], axis: int) -> Orientation:
     """Stack along a new leading ``axis``."""
-    return Orientation(
-        rotation=np.stack([one.rotation for one in parts], axis),
-        whole=np.stack([one.whole for one in parts], axis),
-        weight=np.stack([one.weight for one in parts], axis),
-        axis=parts[0].axis,
-    )
+    each = {name: np.stack([getattr(one, name) for one in parts], axis) for name in ("rotation", "whole", "weight")}
+    return replace(parts[0], **each)
 
 
 def tool_axis(arm: Arm) -> Array:
