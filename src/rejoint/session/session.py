@@ -53,8 +53,6 @@ STARTING = 5.0
 EVERY = 0.02
 """[s] between readings of an arm that is recorded and not driven (chosen)"""
 _LOOK = 0.01  # [s] between two looks at whether a motion has ended (chosen)
-_MOVED = radians(1.0)
-"""[rad] from which a stage has moved the arm (chosen)"""
 _SHARES = np.linspace(0.0, 1.0, 65)[:, None]  # of a way back from joint positions
 
 
@@ -100,14 +98,12 @@ class ArmSession(ArmDriver):
     _closed = False
 
     def lend(self, stage: Callable[..., T], *given: object, **options: object) -> T:
-        """Leave run and robot to a ``stage``; afterwards the run's new state counts."""
+        """Leave the run to a ``stage``, and the robot if it is ``given``; afterwards the run's new state counts."""
         if self.run is None:
             raise InputError("session: a stage writes what it finds into a run; connect with run=FOLDER")
         self._require_free()
-        before = None
         if self._base is not None:
             self.take_up(None)
-            before = self.robot.read().position
         self._alone.close()
         try:
             return stage(*given, run=self.run, observer=self.observer, **options)
@@ -119,10 +115,7 @@ class ArmSession(ArmDriver):
             if self._base is not None:
                 self._limit(self.robot)
                 self._last = self._seen = None
-                moved = True
-                with suppress(RejointError):  # what ended the stage is raised
-                    moved = before is None or np.abs(self.robot.read().position - before).max() > _MOVED
-                if moved:  # the old command is not in force
+                if given:  # a stage with the robot may have moved it: the next motion begins as the first one
                     self._sent, self._rested = None, False
 
     @property
