@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array, Mask, gravity_torque, heights, solve_position, tcp_position
 from rejoint.arms.postures import comfortable_postures
-from rejoint.control.controllers.feedforward import Commander, CommandLaw, FeedforwardGains
+from rejoint.control.controllers.feedforward import Commander, CommandLaw
 from rejoint.control.controllers.observation import Layout, Observation, Observer
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.robot import ControlInput, JointState
 from rejoint.system.errors import InputError
+from rejoint.system.files import read_shipped
 from rejoint.system.records import value_type
 from rejoint.training.ranges import Ranges
 from rejoint.twin.parameters import lifting_torque, nominal_parameters
@@ -331,35 +332,9 @@ class Preset:
     """instead of ``ppo`` for a training from the generic policy; None: never"""
 
 
-FADE = 0.0005
-"""[m] at which the law's steps have faded to half; chosen: no arm hunts at 50 ms"""
+DEFAULT = read_shipped(__file__, "default.toml", Preset)
 
-LOAD_PENALTY = 3.0
-"""Penalty of loaded joints in the law; chosen"""
-
-ANYWHERE = 0.5
-"""Share of targets drawn in the whole workspace"""
-
-WARM = PpoSettings(
-    agents=512,
-    iterations=30,
-    log_std=-1.0,  # with -1.5 and half the learning rate policies settle as near, and come no sooner than the shelf's
-    critic_first=3,
-)
-"""Training from the generic policy; chosen by `python -m benchmarks warmstart`"""
-
-SCRATCH = Preset(
-    name="scratch",
-    task=TaskSettings(
-        law=CommandLaw(anchor="goal", learning=FeedforwardGains(fade=FADE), load_penalty=LOAD_PENALTY),
-        anywhere=ANYWHERE,
-    ),
-)
-"""From random weights"""
-
-DEFAULT = replace(SCRATCH, name="default", warm=WARM)
-
-PRESETS = {preset.name: preset for preset in (DEFAULT, SCRATCH)}
+PRESETS = {preset.name: preset for preset in (DEFAULT, replace(DEFAULT, name="scratch", warm=None))}
 
 
 def load_preset(preset: str | Preset) -> Preset:
