@@ -112,12 +112,6 @@ class Orientation:
         return replace(self, rotation=self.rotation[index], whole=self.whole[index], weight=self.weight[index])
 
     @property
-    def flat(self) -> Orientation:
-        """In one row."""
-        rotation = self.rotation.reshape(-1, 3, 3)
-        return replace(self, rotation=rotation, whole=self.whole.ravel(), weight=self.weight.ravel())
-
-    @property
     def counts(self) -> Mask:
         """(...) where an orientation is wanted."""
         return self.weight > 0.0

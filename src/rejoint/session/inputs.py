@@ -218,12 +218,12 @@ def as_targets(
         points, turns = placed(arm, cast("Sequence[Pose]", given))
     else:
         points = as_place("targets", given, "points (targets, 3) or (sets, targets, 3) in metres", (2, 3))
-    points, turns = points[None] if points.ndim == 2 else points, turns and turns[None]
+    points = points[None] if points.ndim == 2 else points
     sets, count, _ = points.shape
     names = [f"number {k + 1}{f' of set {s + 1}' * (sets > 1)}" for s in range(sets) for k in range(count)]
-    if problem := refused(arm, names, points.reshape(-1, 3), turns and turns.flat, motors):
+    if problem := refused(arm, names, points.reshape(-1, 3), turns, motors):
         raise InputError(f"targets: {problem}")
-    return points, turns
+    return points, turns and turns[None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
