@@ -119,8 +119,7 @@ def require_file(path: Path, most: int, remedy: str) -> None:
     """Raise FileError unless ``path`` is such a file; FileNotFoundError."""
     size = path.stat().st_size
     if not path.is_file():
-        kind = "a folder" if path.is_dir() else "a pipe or a device"
-        raise FileError(path, f"cannot be read: it is {kind}", "give a file")
+        raise FileError(path, "cannot be read: it is a folder, a pipe or a device", "give a file")
     if size > most:
         raise FileError(path, f"{decimal(size)} large, expected at most {decimal(most)}", remedy)
 

@@ -23,7 +23,7 @@ class RateLimit:
     """Passes progress on at a limited rate."""
 
     def __init__(self, progress: Progress) -> None:
-        self._progress, self._due, self._done = progress, -float("inf"), False
+        self._progress, self._due, self._done = progress, 0.0, False
 
     def __call__(self, share: float, what: str) -> None:
         """Pass on, or not yet."""
