@@ -85,7 +85,7 @@ def try_arm(number: int, policy: Path | None, sets: int) -> Outcome:
     factories = maker.factories(given)
 
     def connect(count: int, seed: int) -> Robot:
-        return open_robot(address, count=count, seed=seed, period=PERIOD, threads=1)
+        return open_robot(address, count=count, seed=seed, period=PERIOD)
 
     before = open_loop_trials(ARM, diagnosed.targets, ONE_ARM_PROTOCOL)
     assert before is not None

@@ -64,7 +64,6 @@ TARGETS, DWELL = 4, 2.5
 FAR = 0.030
 """[m] off its way that the tool may be before the trip"""
 MONITORS = ("diagnosed", "positions alone")
-THREADS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,7 +139,7 @@ def draw(kind: str, count: int, seed: int) -> list[Wear]:
 
 def opened(wears: list[Wear], wire: str, seed: int, first: int = 0) -> EmulatedRobot:
     """Return arms behind a wire."""
-    robot = EmulatedRobot(ARM, wears, seed=seed, first=first, threads=THREADS, **WIRES[wire])
+    robot = EmulatedRobot(ARM, wears, seed=seed, first=first, **WIRES[wire])
     if wire in ("stalling", "late"):
         robot._channel = Stalling(
             channel=Channel(SLOW["command_latency"], SLOW["readback_age"], SLOW["period"]),

@@ -26,7 +26,7 @@ trainings of three seeds differ by, docs/research.md)"""
 
 def tried(name: str, file: Path) -> Columns:
     """Hold the policy of ``file`` on worn arms of this build."""
-    family = ArmFamily(arms=ARMS, targets=TARGETS, crossings=0, threads=2)
+    family = ArmFamily(arms=ARMS, targets=TARGETS, crossings=0)
     arm = load_arm(name)
     return try_on(arm, lambda: open_family(arm, WORN, family), lambda arm: load_policy(file, arm), family)
 

@@ -43,7 +43,7 @@ class Line:
             raise FileNotFoundError(f"no such device: {port}")
         arm = load_arm("mycobot280")
         self.timeout, self._waiting = timeout, b""
-        self._plant = Plant(arm, [load_wear("worn", arm)], seed=0, threads=1)
+        self._plant = Plant(arm, [load_wear("worn", arm)], seed=0)
         self._began = CLOCK.now() - self._plant.time[0]
 
     def write(self, data):

@@ -98,7 +98,6 @@ def evaluate(
     gains: Path | None = None,
     out: Path = OUT,
     seed: int = 0,
-    threads: int = 2,
 ) -> object:
     """Try controllers on a hundred arms on which nothing was chosen, and on the same under harder conditions."""
     arm = _arm(call)
@@ -108,7 +107,7 @@ def evaluate(
 
     names = {"all": KNOWN, "none": ()}.get(controllers, controller_names(controllers))
     chosen = [find_variant(name) for name in controller_names(variants)] or VARIANTS
-    family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed, threads=threads)
+    family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed)
     contestants, file = _contestants(arm, [*names, *map(str, policy or ())], gains), out.resolve() / "evaluation.json"
     with call.bar("evaluate") as update:
         return _show(call, run(arm, contestants, chosen, family, file, update), file)
@@ -123,7 +122,6 @@ def calibrate(
     targets: int = 5,
     out: Path = OUT,
     seed: int = 0,
-    threads: int = 2,
 ) -> object:
     """Find what outside measurements bring: true errors of many arms before and after their calibration."""
     arm = _arm(call)
@@ -132,21 +130,21 @@ def calibrate(
 
     (one,) = _contestants(arm, [controller])
     conditions = [find_variant(name, CALIBRATED) for name in controller_names(variants)] or CALIBRATED
-    family = ArmFamily(arms=arms, targets=targets, crossings=0, seed=seed, threads=threads)
+    family = ArmFamily(arms=arms, targets=targets, crossings=0, seed=seed)
     file = out.resolve() / "calibration.json"
     with call.bar("calibrate") as update:
         return _show(call, evaluate_calibrations(arm, conditions, one, family, file, update), file)
 
 
 @takes
-def follow(call: Call, arms: int = 100, out: Path = OUT, seed: int = 0, threads: int = 2) -> object:
+def follow(call: Call, arms: int = 100, out: Path = OUT, seed: int = 0) -> object:
     """Let many arms follow standard paths, each with a twin of its own."""
     arm = _arm(call)
     from rejoint_lab.research.evaluation.evaluate import evaluate_moving, moving_table
     from rejoint_lab.research.evaluation.family import ArmFamily
 
     with call.bar("follow") as update:
-        found = evaluate_moving(arm, ArmFamily(arms=arms, seed=seed, threads=threads), out, update)
+        found = evaluate_moving(arm, ArmFamily(arms=arms, seed=seed), out, update)
     write_json(out / "moving.json", found)
     call.table(*moving_table(found))
     call.result(f"All of it: {(out / 'moving.json').resolve()}")
@@ -189,7 +187,6 @@ def reproduce(
     run: Path | None = None,
     quick: bool = False,
     seed: int = 0,
-    threads: int = 2,
 ) -> object:
     """Run the experiments of Park et al. 2024 and write a page with their numbers beside ours."""
     require("rejoint research reproduce", "train", "report")
@@ -198,7 +195,7 @@ def reproduce(
     chosen = choose(experiments or ())
     folder = run or Path("runs") / f"reproduction{'-quick' * quick}-seed{seed}"
     with call.bar("reproduce") as update:
-        bench = Bench(folder=folder.resolve(), arm=mycobot280(), seed=seed, threads=threads, on_progress=update)
+        bench = Bench(folder=folder.resolve(), arm=mycobot280(), seed=seed, on_progress=update)
         bench = bench.quickly() if quick else bench
         found = run_experiments(bench, chosen, lambda one: call.message(one.title))
     for name, finished in found.items():

@@ -82,7 +82,6 @@ def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
         address=place.text,
         seed=opening.seed,
         period=opening.period,
-        threads=opening.threads,
         payload=place.detail.payload,
         bodies=bodies,
         gains=place.detail.gains,

@@ -30,7 +30,7 @@ from rejoint.session.inputs import NO_GAUGE, GaugeLike, to_keep
 from rejoint.system.errors import FileError, InputError, MissingExtraError
 from rejoint.system.extras import require
 from rejoint.system.files import write_text
-from rejoint.system.shell import command
+from rejoint.system.shell import command, free_cores
 
 if TYPE_CHECKING:
     from rejoint.camera.board import Board
@@ -349,7 +349,7 @@ def fleet(
     plan = rejoint.RepairPlan(preset=preset, controllers=opt.controller_names(controllers), trials=trials)
     rules = replace(rules, plan=plan)
     if address is None:  # all control loops run here
-        rules = replace(rules, at_once=cpus or os.cpu_count() or 1)
+        rules = replace(rules, at_once=cpus or free_cores())
     executor = partial(RayExecutor, address=address, cpus=cpus)
     with call.watched("fleet", bar=False):
         result = run_fleet(found, verb, executor, rules, only=names, tell=call.message)

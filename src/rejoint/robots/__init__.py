@@ -18,7 +18,6 @@ def open_robot(
     seed: int = 0,
     count: int = 1,
     period: tuple[float, float] | None = None,
-    threads: int = 1,
 ) -> Robot:
     """Connect to the unguarded joints of the robot at ``address``; see `rejoint.connect` for an arm.
 
@@ -46,7 +45,7 @@ def open_robot(
         raise InputError(f"{address} is one arm; only emulated robots come in batches, got count {count}")
     require(address, *place.family.needs)
     cycle = as_period(period) or place.default_period
-    return place.family.connect(place, Opening(arm=arm, seed=as_seed(seed), count=count, period=cycle, threads=threads))
+    return place.family.connect(place, Opening(arm=arm, seed=as_seed(seed), count=count, period=cycle))
 
 
 __all__ = [

@@ -30,8 +30,6 @@ class Opening:
     """of arms; 1 unless virtual"""
     period: tuple[float, float]
     """[s] range of control periods"""
-    threads: int
-    """of a simulation"""
 
 
 @entity

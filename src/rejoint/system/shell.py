@@ -1,9 +1,9 @@
 """Command lines of ours, memory, and sockets."""
 
 import ctypes
+import os
 import shlex
 import socket
-import sys
 from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import version
@@ -18,11 +18,15 @@ def command(*words: object) -> str:
     return shlex.join(["rejoint", *map(str, words)])
 
 
+def free_cores() -> int:
+    """Return how many processors one call may use: all, or one where OMP_NUM_THREADS says so."""
+    return 1 if os.environ.get("OMP_NUM_THREADS") == "1" else os.cpu_count() or 1
+
+
 def give_back() -> None:
     """Return free memory to the system (glibc)."""
-    if sys.platform == "linux":
-        with suppress(OSError, AttributeError):  # another C library
-            ctypes.CDLL(None).malloc_trim(0)
+    with suppress(OSError, AttributeError, TypeError):  # another C library
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 class Late:

@@ -20,6 +20,7 @@ from rejoint.arms.compiled import inner
 from rejoint.arms.inertia import heavier, inertia_values
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.system.errors import InputError
+from rejoint.system.shell import free_cores
 from rejoint_lab.plant import servo, sts3215, xseries
 from rejoint_lab.plant.servo import STEP, stream_keys
 from rejoint_lab.plant.wear import PARAMETERS, Wear, scale_of
@@ -85,7 +86,6 @@ class Plant:
         wears: Sequence[Wear],
         *,
         seed: int,
-        threads: int = 1,
         first: int = 0,
         **truth: Any,  # noqa: ANN401
     ) -> None:
@@ -103,8 +103,8 @@ class Plant:
         self._sts: tuple[NDArray[Any], ...] | None = None
         self._x: tuple[NDArray[Any], ...] | None = None
         self._history = np.zeros((self.count, servo.HISTORY, arm.joints))
-        worth = max(1, min(threads, self.count // ARMS_PER_THREAD))
-        self.batch = Batch(build_model(arm, self._pull), self.count, worth)
+        threads = max(1, min(free_cores(), self.count // ARMS_PER_THREAD))  # no effect on results
+        self.batch = Batch(build_model(arm, self._pull), self.count, threads)
         armature = self.batch.expand("dof_armature")
         armature[:, 0::2] = self.joints["reflected_inertia"]
         armature[:, 1::2] = self.joints["link_stiffness"] * (servo.GEAR_STEPS * STEP) ** 2

@@ -2,7 +2,7 @@ from runs.test_connect import a_twin
 
 
 def rows_of(cli, command, out, *words):
-    return cli("research", command, *words, "--threads", "1", "--out", out, "--json").last["rows"]
+    return cli("research", command, *words, "--out", out, "--json").last["rows"]
 
 
 def test_a_family_is_evaluated_and_resumed(cli, tmp_path):

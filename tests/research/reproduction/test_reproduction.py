@@ -28,7 +28,7 @@ ARM = mycobot280()
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     """Every experiment, run quickly with short episodes, in a folder of its own."""
-    made = Bench(folder=tmp_path_factory.mktemp("reproduction"), arm=ARM, seed=0, threads=1).quickly()
+    made = Bench(folder=tmp_path_factory.mktemp("reproduction"), arm=ARM, seed=0).quickly()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(measures, "PAPER", replace(PAPER, task=replace(PAPER.task, hold_steps=20)))
         run_experiments(made, EXPERIMENTS, str)

@@ -38,7 +38,7 @@ def test_overshoot_and_error_of_a_known_path():
 
 
 def test_a_training_that_cannot_go_on_says_why_and_stops_the_others(tmp_path):
-    bench = Bench(folder=tmp_path, arm=ARM, seed=0, threads=1).quickly()
+    bench = Bench(folder=tmp_path, arm=ARM, seed=0).quickly()
     taken = bench.training(WORN[0]).training
     taken.parent.mkdir(parents=True)
     taken.write_bytes(b"a file where a folder should be")

@@ -59,7 +59,7 @@ from rejoint.session.session import ArmSession
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress
 from rejoint.system.records import Readable, as_options, entity
-from rejoint.system.shell import __version__, give_back
+from rejoint.system.shell import __version__, free_cores, give_back
 from rejoint.system.stopping import noted
 from rejoint.twin.twin import Twin
 
@@ -140,8 +140,6 @@ class ComparisonJob:
     observer: Observer = field(default_factory=Observer)
     by_name: bool = False
     """another process can make the controllers"""
-    threads: int = 2
-    """of emulated arms; no effect on results"""
 
     def runner(self, factories: Mapping[str, Factory], opened: OpenRobot | None = None, **hooks: Any) -> TrialRunner:  # noqa: ANN401
         """Runner of the trials of some controllers; ``hooks`` are further fields of it."""
@@ -229,15 +227,15 @@ class ComparisonJob:
     def _help(self) -> HelperProcess | None:
         size = self.targets[..., 0].size * self.settings.repetitions * len(self.factories)
         plain = self.by_name and isinstance(self.robot, str) and not self.observer.shows
-        spare = os.name == "posix" and (os.cpu_count() or 1) > 1 and os.environ.get("OMP_NUM_THREADS") != "1"
+        spare = os.name == "posix" and free_cores() > 1
         if not (plain and self.settings.batched and size >= LEAST and spare):
             return None
         trials = self.trials | {"model": None}
-        return HelperProcess(replace(self, factories={}, trials=trials, before=None, observer=Observer(), threads=1))
+        return HelperProcess(replace(self, factories={}, trials=trials, before=None, observer=Observer()))
 
     def _open(self, count: int, seed: int) -> Robot:
         robot = (
-            open_robot(self.robot, arm=self.arm, seed=seed, count=count, period=self.period, threads=self.threads)
+            open_robot(self.robot, arm=self.arm, seed=seed, count=count, period=self.period)
             if isinstance(self.robot, str)
             else Borrowed(self.robot)
         )

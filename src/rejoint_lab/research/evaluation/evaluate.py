@@ -421,14 +421,14 @@ def evaluate_moving(arm: Arm, family: ArmFamily, out: Path, on_progress: Progres
         seeds = family.wear_seeds[first : first + BLOCK]
         ahead = part(on_progress, first / family.arms, (first + len(seeds)) / family.arms)
         twins = own_twins(arm, seeds, out, family.seed, part(ahead, 0.0, 0.5))
-        for case, errors in _follow(arm, seeds, twins, family.threads, part(ahead, 0.5, 1.0)).items():
+        for case, errors in _follow(arm, seeds, twins, part(ahead, 0.5, 1.0)).items():
             found[case] += errors
     each = len(STANDARD)
     return [_moving_row(case, path, found[case][i::each]) for case in CASES for i, path in enumerate(STANDARD)]
 
 
 def _follow(
-    arm: Arm, seeds: Sequence[int], twins: Sequence[Twin], threads: int, on_progress: Progress
+    arm: Arm, seeds: Sequence[int], twins: Sequence[Twin], on_progress: Progress
 ) -> dict[str, list[tuple[Along, bool]]]:
     """Follow all paths with each arm; returns errors, and whether the guard stopped it, of each case."""
     pairs = [(twin, seed, name) for twin, seed in zip(twins, seeds, strict=True) for name in STANDARD]
@@ -442,7 +442,7 @@ def _follow(
         near = home if tracks else None
         start = PathPostures(arm, np.stack([path.place[0] for path in paths]), home=near).last
         wears = [load_wear(profile.format(seed), arm) for _, seed, _ in pairs]
-        robot = EmulatedRobot(arm, wears, seed=seeds[0] + noise, start=start, threads=threads)
+        robot = EmulatedRobot(arm, wears, seed=seeds[0] + noise, start=start)
         sent = command_for(arm, servos, np.repeat(start[None], 3, axis=0)) if tracks else start  # what holds it there
         plan = Schedule(dwell=LEAD_IN + LAG + max(path.duration for path in paths), sent=sent, keep_going=True)
         controller = Tracker(arm, servos) if tracks else DefaultController(arm)

@@ -93,8 +93,6 @@ class ArmFamily:
     seed: int = 0
     """number of the family"""
     protocol: Protocol = field(default_factory=Protocol)
-    threads: int = field(default=1, repr=False, compare=False)
-    """of the simulation; no effect on results"""
 
     @property
     def wear_seeds(self) -> list[int]:
@@ -159,7 +157,6 @@ def open_family(arm: Arm, variant: Variant, family: ArmFamily) -> EmulatedRobot:
         seed=family.seed,
         period=variant.period,
         command_latency=variant.latency,
-        threads=family.threads,
         payload=variant.payload * np.array([np.random.default_rng([seed, 1]).random() for seed in seeds]),
         bodies=None if described else [misdescribed(arm, variant, seed) for seed in seeds],
         gravity=turned(np.radians([variant.tilt_deg, 0.0, 0.0])) @ GRAVITY,

@@ -154,8 +154,6 @@ class Bench:
     """updates between policies of Fig. 12; chosen"""
     judged: int = 96
     """arms per such policy; chosen"""
-    threads: int = 2
-    """of simulations"""
     on_progress: Progress = no_progress
 
     def quickly(self) -> Bench:

@@ -205,15 +205,13 @@ _SEED = 1_000_003
 """Seed increment of the evaluated arms"""
 
 
-def play(
-    controller: PolicyController, ranges: Ranges, arms: int, *, seed: int, noise: float = 0.0, threads: int = 1
-) -> Columns:
+def play(controller: PolicyController, ranges: Ranges, arms: int, *, seed: int, noise: float = 0.0) -> Columns:
     """Run one episode on each of N ``arms``; ``noise``: exploration in units of the action.
 
     Returns accumulated ``reward``, ``steps``, ``reached`` and ``collided`` (N,), the ``tcp`` (T, N, 3) [m] from the
     start, NaN after the end, and the ``target`` (N, 3) [m].
     """
-    task = PaperTask(controller.arm, ranges, arms, PAPER.task, seed=_SEED + seed, threads=threads)
+    task = PaperTask(controller.arm, ranges, arms, PAPER.task, seed=_SEED + seed, threads=2)
     rng = np.random.default_rng(seed)
     observation, _ = task.reset(staggered=False)
     target, paths = _point(observation, "target"), [_point(observation, "tcp")]
@@ -252,7 +250,7 @@ def measure_paths(bench: Bench) -> Found:
         ("busy", folder.policy, noises[-1]),
     ):
         controller = load_policy(file, bench.arm)
-        played[key] = one = play(controller, ranges, arms, seed=bench.seed, noise=noise, threads=bench.threads)
+        played[key] = one = play(controller, ranges, arms, seed=bench.seed, noise=noise)
         way = np.nansum(np.linalg.norm(np.diff(one["tcp"], axis=0), axis=-1), axis=0)
         found[f"{key}_way"] = np.median(way / np.linalg.norm(one["target"] - one["tcp"][0], axis=-1))
         found |= {f"{key}_{name}": 100 * one[name].mean() for name in ("reached", "collided")}
@@ -303,10 +301,7 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
     folder, ranges = bench.training(name), ranges_of(bench.arm, arms)
     files = {int(file.stem.rpartition("-")[2]): file for file in sorted(folder.training.glob("policy-*.onnx"))}
     files[max(files) + bench.snapshot_every] = folder.policy
-    played = [
-        play(load_policy(file, bench.arm), ranges, bench.judged, seed=bench.seed, threads=bench.threads)
-        for file in files.values()
-    ]
+    played = [play(load_policy(file, bench.arm), ranges, bench.judged, seed=bench.seed) for file in files.values()]
     means = {key: np.array([one[key].mean() for one in played]) for key in MEASURES}
     return means | {"updates": np.array(list(files), float)}
 
@@ -333,9 +328,7 @@ def trials(bench: Bench, profile: str, names: Sequence[str], protocol: Protocol,
     """Trials of controllers, or policies of trainings, on a kind of arm; what is kept of them is not driven again."""
     file = bench.folder / "trials" / f"{profile}-hold-{protocol.hold:g}s.json"
     return TrialRunner(
-        lambda count, seed: open_robot(
-            f"emulated:{profile}", arm=bench.arm, seed=seed, count=count, threads=bench.threads
-        ),
+        lambda count, seed: open_robot(f"emulated:{profile}", arm=bench.arm, seed=seed, count=count),
         {
             name: partial(classical(name).make, ())
             if name in NAMES
