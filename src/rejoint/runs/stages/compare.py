@@ -184,7 +184,7 @@ class ComparisonJob:
             if (driven.key.places[0], driven.key.first) == ((0, 0), 0):  # one of each suffices for the figures
                 keep(driven.key.label, recording.log(0, driven.key.label))
 
-        helper = ahead or self._help()
+        helper = ahead or self.begin_ahead()
         with noted(), staged(self.run, "compare") as watch, nullcontext() if helper is None else closing(helper):
 
             def watched(count: int, seed: int) -> Robot:
@@ -217,21 +217,17 @@ class ComparisonJob:
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
 
     def begin_ahead(self) -> HelperProcess | None:
-        """Start a second process, if a core is free."""
-        helper = self._help()
-        if helper is not None:
-            for key in self.runner(self.factories).asked()[::-1]:  # the slowest first
-                helper(key)
-        return helper
-
-    def _help(self) -> HelperProcess | None:
+        """Start a second process with the trials, if they are worth one and a core is free."""
         size = self.targets[..., 0].size * self.settings.repetitions * len(self.factories)
         plain = self.by_name and isinstance(self.robot, str) and not self.observer.shows
         spare = os.name == "posix" and free_cores() > 1
         if not (plain and self.settings.batched and size >= LEAST and spare):
             return None
         trials = self.trials | {"model": None}
-        return HelperProcess(replace(self, factories={}, trials=trials, before=None, observer=Observer()))
+        helper = HelperProcess(replace(self, factories={}, trials=trials, before=None, observer=Observer()))
+        for key in self.runner(self.factories).asked()[::-1]:  # the slowest first
+            helper(key)
+        return helper
 
     def _open(self, count: int, seed: int) -> Robot:
         robot = (
