@@ -326,6 +326,9 @@ def modelled_errors(log: RunLog, model: ToolModel) -> TrueError:
 AT_REST = 0.05
 """[rad/s] of the fastest joint and command at rest; chosen"""
 
+STANDS = 3.0
+"""[s] after which a command has stood for long; chosen"""
+
 PER_LOG = 20
 """Postures taken from each log; chosen"""
 
@@ -343,14 +346,14 @@ def settled_postures(targets: RunLog) -> Postures:
 def resting_postures(excluded: Exclusions, *, stops: bool = False) -> Postures:
     """Evenly spread rests of the free arm, each a mean over about a second; with ``stops`` also blocked ones.
 
-    A joint that swings or jitters about one place under a standing command rests there.
+    The last second of a command that stands for long counts, though joints swing or jitter about one place.
     """
     log, usable = excluded.log, ~(excluded.contact | excluded.stale) if stops else excluded.free
     time = log.time
     stands = usable & (joint_speed(time, log.command) < AT_REST)
     quiet = stands & (joint_speed(time, log.position) < AT_REST)
-    for a, b in free_runs(stands, time, 2 * SETTLED):
-        quiet[a:b] |= time[a:b] >= _steady_from(time[a:b], log.position[a:b])
+    for a, b in free_runs(stands, time, STANDS):
+        quiet[a:b] |= time[a:b] >= time[b - 1] - SETTLED
     runs = free_runs(quiet, time, SETTLED_LAST)  # shorter ones are turning points
     parts = [
         part for run in runs for part in np.array_split(range(*run), max(int(np.ptp(time[[run[0], run[1] - 1]])), 1))
@@ -358,13 +361,3 @@ def resting_postures(excluded: Exclusions, *, stops: bool = False) -> Postures:
     some = np.linspace(0, len(parts) - 1, min(PER_LOG, len(parts))).astype(int)
     means = [[joints[parts[k]].mean(axis=0) for k in some] for joints in (log.position, log.command)]
     return np.reshape(means, (2, -1, log.position.shape[1]))
-
-
-def _steady_from(time: Array, position: Array) -> float:
-    """Begin [s] of the first two seconds in which the mean position (T, n) [rad] of the second is that of the first."""
-    sums = np.concatenate([np.zeros((1, position.shape[1])), np.cumsum(position, axis=0)])
-    rows = np.searchsorted(time, time[time >= time[0] + 2 * SETTLED][:, None] - SETTLED * np.array([2, 1, 0]))
-    sums, counts = sums[rows], np.diff(rows, axis=1)
-    means = np.diff(sums, axis=1) / np.maximum(counts, 1)[..., None]
-    steady = (np.abs(np.diff(means, axis=1)) < AT_REST * SETTLED).all(axis=(1, 2)) & counts.all(axis=1)
-    return float(time[rows[steady.argmax(), 0]]) if steady.any() else np.inf
