@@ -137,14 +137,6 @@ def test_the_homing_motion_leaves_the_tool_in_place_to_first_order():
     assert (np.einsum("bi,bi->b", view.homing, ARM.rest - position) > 0.0).all()
 
 
-def test_authority_worked_by_hand():
-    law = CommandLaw(authority_floor=float(np.radians(0.12)))
-    steps = np.zeros((3, 6))
-    steps[1, 2], steps[2, 4] = np.radians(-2.0), np.radians(30.0)
-    largest = np.abs(steps).max(axis=1, keepdims=True)
-    np.testing.assert_allclose(np.degrees(law.authority(largest))[:, 0], [0.12, 1.12, 4.0])
-
-
 def test_command_law_worked_by_hand():
     law = CommandLaw(authority_floor=float(np.radians(0.12)))
     position = ARM.rest[None]

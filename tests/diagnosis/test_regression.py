@@ -1,7 +1,6 @@
 """Fits against known truth, intervals against their promise."""
 
 import numpy as np
-import pytest
 import scipy.stats
 
 from rejoint.diagnosis.regression import PER_SET, fit_clustered, fit_trimmed
@@ -30,17 +29,16 @@ def test_clustered_intervals_cover_where_plain_ones_do_not():
     assert plain / 300 < 0.6
 
 
-@pytest.mark.parametrize(("differ", "covers"), [(0.3, (0.9, 1.0)), (0.0, (0.85, 1.0))])
-def test_recordings_that_differ_are_the_observations(differ, covers):
+def test_recordings_that_differ_are_the_observations():
     rng = np.random.default_rng(3)
     recording, inside = np.repeat(np.arange(6), 200), 0
     cluster = recording * PER_SET + np.tile(np.repeat(np.arange(20), 10), 6)
     for _ in range(200):
         x = rng.normal(size=1200)
-        y = (0.5 + differ * rng.normal(size=6))[recording] * x + rng.normal(size=1200)
+        y = (0.5 + 0.3 * rng.normal(size=6))[recording] * x + rng.normal(size=1200)
         estimate = fit_clustered(x[:, None], y, cluster).estimate(0)
         inside += estimate.low <= 0.5 <= estimate.high
-    assert covers[0] <= inside / 200 <= covers[1]
+    assert inside / 200 > 0.9
 
 
 def test_trimmed_fit_forgets_a_third_of_stuck_samples():

@@ -40,7 +40,6 @@ def test_a_comparison_that_is_to_be_made_needs_no_options(tmp_path, diagnosis, r
     ("named", "line"),
     [
         ({}, "rejoint check emulated:worn --repeat 5"),
-        ({"name": "a1"}, "rejoint check a1 --repeat 5"),
         ({"name": "a1", "fleet": "F.toml"}, "rejoint fleet check F.toml --only a1"),
     ],
 )
