@@ -416,7 +416,8 @@ def _longest(tree: Tree, start: int | None, notes: list[str]) -> int:
     most = max(hinges[body] for body in leaves)
     ends = [body for body in sorted(leaves) if hinges[body] == most]
     if not most:
-        raise InputError(f"{tree.name}: no chain of hinges was found; the bodies are: {tree.listed(hinges)}")
+        every = tree.listed(range(tree.model.nbody))
+        raise InputError(f"{tree.name}: no chain of hinges was found outside of grippers; name the tip, of {every}")
     carried: dict[Joint, list[int]] = {}  # ends by the last joint before them
     for body in ends:
         carried.setdefault(tree.joints_of(tree.path(body))[-1], []).append(body)
