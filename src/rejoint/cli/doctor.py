@@ -22,7 +22,7 @@ from rejoint.logs.runfolder import LOGS
 from rejoint.robots import Place, open_robot, place_of
 from rejoint.robots import ports as lines
 from rejoint.runs.run import Run
-from rejoint.system.errors import AddressError, RobotError, first_line
+from rejoint.system.errors import AddressError, RejointError, RobotError, first_line
 from rejoint.system.extras import EXTRAS, compiles_first, explain, install_line, installed, require, require_compiler
 from rejoint.system.shell import __version__
 
@@ -61,13 +61,13 @@ class Surroundings:
 
 
 def examine(case: Surroundings) -> Iterator[tuple[str, Symptom]]:
-    """Go through `CHECKS`; an error is a finding, and ours names its remedy behind the semicolon."""
+    """Go through `CHECKS`; an error of the project is a finding, and names its remedy behind the semicolon."""
     with case.stack:
         for check in CHECKS:
             try:
                 for found in check(case):
                     yield check.__name__, found
-            except Exception as error:  # noqa: BLE001 - whatever is wrong is a finding
+            except (RejointError, OSError, ImportError, RuntimeError) as error:
                 text, _, fix = (explain(error) or first_line(error)).partition("; ")
                 yield check.__name__, Symptom(text, fix or "see docs/troubleshooting.md")
 
@@ -93,7 +93,14 @@ def compiler(_: Surroundings) -> Iterator[Symptom]:
     from numba import njit
 
     began = time.monotonic()
-    njit(lambda value: value + 1)(1)
+    try:
+        njit(lambda value: value + 1)(1)
+    except Exception as error:  # noqa: BLE001 - whatever is wrong with it
+        yield Symptom(
+            f"Numba cannot compile ({type(error).__name__}: {first_line(error)})",
+            "install it again: pip install --force-reinstall numba llvmlite",
+        )
+        return
     told = "; the first motion compiles its loops, once, which takes about 15 s" * compiles_first()
     yield Symptom(f"Numba compiles in {time.monotonic() - began:.1f} s{told}")
 
