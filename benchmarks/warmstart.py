@@ -20,7 +20,7 @@ from benchmarks.predictive import ARM, TARGETS, know
 from rejoint.control.controllers.catalogue import shelf_path
 from rejoint.control.controllers.policy import load_policy
 from rejoint.control.targets import draw_targets
-from rejoint.training.task import DEFAULT, SCRATCH
+from rejoint.training.task import DEFAULT, load_preset
 from rejoint.training.train import TrainingOptions, train
 from rejoint.twin.twin import Twin
 from rejoint_lab.emulated import EmulatedRobot
@@ -29,7 +29,7 @@ from rejoint_lab.research.evaluation.family import ArmFamily, try_on
 
 COPIES = 8
 """Trials of one arm side by side (chosen)"""
-PRESETS = {"shelf": DEFAULT, "random": SCRATCH}
+PRESETS = {"shelf": "default", "random": "scratch"}
 
 
 def trained(twin: Twin, start: str, updates: int, seed: int, file: Path) -> float | None:
@@ -38,7 +38,7 @@ def trained(twin: Twin, start: str, updates: int, seed: int, file: Path) -> floa
         return None
     begun = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
-        preset = replace(PRESETS[start], name=f"{start}-{updates}")
+        preset = replace(load_preset(PRESETS[start]), name=f"{start}-{updates}")
         options = TrainingOptions(preset=preset, seed=seed, iterations=updates)
         result = train(ARM, twin, out=Path(folder), options=options)
         file.write_bytes(result.policy.read_bytes())

@@ -128,7 +128,7 @@ def arm_at() -> Iterator[str]:
 
 
 def _twin(arm: Arm) -> Twin:
-    belief, nothing = prior(arm), PredictionError(joints=np.zeros(arm.joints), joint=0.0, tcp=0.0)
+    belief, nothing = prior(arm), PredictionError(joint=0.0, tcp=0.0)
     return Twin(
         arm=arm.name,
         joint_names=arm.joint_names,

@@ -236,11 +236,12 @@ def states_with_current(dry, phase):
     return replace(log, current=current, units={"current": "A"})
 
 
-def test_turning_points_are_no_rest():
+def test_turning_points_and_a_slow_way_are_no_rest():
     time = np.arange(0.0, 20.0, 0.02)
-    swing = 0.3 * np.sin(np.outer(time, np.full(ARM.joints, 2.0)))
-    log = as_log("swing", time, swing, swing + 0.1)
-    assert resting_postures(find_exclusions(ARM, [log])[0]).shape[1] == 0
+    swing, slow = 0.3 * np.sin(np.outer(time, np.full(ARM.joints, 2.0))), np.outer(0.06 * time, np.ones(ARM.joints))
+    for position, command in ((swing, swing + 0.1), (slow, 0.0 * slow + 1.2)):
+        log = as_log("moving", time, position, command)
+        assert resting_postures(find_exclusions(ARM, [log])[0]).shape[1] == 0
 
 
 def test_a_joint_that_swings_under_a_standing_command_rests_in_the_middle():

@@ -117,6 +117,11 @@ class Arm(Readable):
         """Number of joints."""
         return len(self.joint_names)
 
+    @property
+    def endless(self) -> Mask:
+        """(n,) joints without known limits, which have +-180 deg."""
+        return (self.upper == np.pi) & (self.lower == -np.pi)
+
     def drawn(self, count: int, seed: int = 0) -> Array:
         """Draw postures (count, n) [rad] within the limits."""
         return np.random.default_rng(seed).uniform(self.lower, self.upper, (count, self.joints))

@@ -292,9 +292,8 @@ def _rest_error(arm: Arm, excluded: Sequence[Exclusions]) -> Estimate | None:
         if ZEROS in rows.log.extra or not len(position):
             continue
         error = np.linalg.norm(tcp_position(arm, command) - tcp_position(arm, position), axis=-1) * 1e3
-        place = np.unique(np.round(command, 3), axis=0, return_inverse=True)[1].ravel()
-        of_place = np.bincount(place, weights=error) / np.bincount(place)
-        means += [error.mean()] if len(excluded) >= MANY else of_place.tolist()
+        _, place, count = np.unique(np.round(command, 3), axis=0, return_inverse=True, return_counts=True)
+        means += [error.mean()] if len(excluded) >= MANY else (np.bincount(place.ravel(), error) / count).tolist()
     return mean_of(np.array(means)) if means else None
 
 
@@ -303,7 +302,7 @@ def _rest(excluded: Sequence[Exclusions]) -> Postures:
     rest = np.concatenate([resting_postures(rows, stops=True) for rows in excluded], axis=1)
     if rest.shape[1]:
         return rest
-    passed = np.concatenate([rows.log.position[rows.free][:: max(rows.free.sum() // 20, 1)] for rows in excluded])
+    passed = np.concatenate([rows.log.position[rows.free][:: rows.free.sum() // 20 or 1] for rows in excluded])
     return np.stack([passed, passed])
 
 

@@ -353,11 +353,11 @@ def resting_postures(excluded: Exclusions, *, stops: bool = False) -> Postures:
     stands = usable & (joint_speed(time, log.command) < AT_REST)
     quiet = stands & (joint_speed(time, log.position) < AT_REST)
     for a, b in free_runs(stands, time, STANDS):
-        quiet[a:b] |= time[a:b] >= time[b - 1] - SETTLED
+        last = np.flatnonzero(time[a:b] >= time[b - 1] - SETTLED) + a
+        early, late = (log.position[half].mean(axis=0) for half in np.array_split(last, 2))
+        quiet[last] |= (np.abs(late - early) < AT_REST * SETTLED / 2).all()  # else it is on its way
     runs = free_runs(quiet, time, SETTLED_LAST)  # shorter ones are turning points
-    parts = [
-        part for run in runs for part in np.array_split(range(*run), max(int(np.ptp(time[[run[0], run[1] - 1]])), 1))
-    ]
+    parts = [part for a, b in runs for part in np.array_split(range(a, b), int((b - a) * log.period) or 1)]
     some = np.linspace(0, len(parts) - 1, min(PER_LOG, len(parts))).astype(int)
     means = [[joints[parts[k]].mean(axis=0) for k in some] for joints in (log.position, log.command)]
     return np.reshape(means, (2, -1, log.position.shape[1]))

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Mask
+from rejoint.arms import Arm, Array
 from rejoint.logs.columns import FEWEST, NORMALISED_MOST, ZEROS, RecordedMotion, turn_bits, unit_by_steps
 from rejoint.logs.exclusions import correlations
 from rejoint.logs.joints import ImportOptions
@@ -280,6 +280,8 @@ SHARPEST = 400.0
 """[rad/s^2] ten times an SO-101's limit"""
 TOO_FAST, SPEED_ROWS = 4.0, 5
 """times the servo's speed, over rows"""
+WRAP = 1.0
+"""[rad] of a step that the end of a turn may hide"""
 FAR_OUT = 0.05
 """share of samples for a doubtful unit or zero"""
 LIMIT_MARGIN = 0.35
@@ -304,27 +306,25 @@ def without_spikes(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]
     return motion.take(~rows), [(f"state: {rows.sum()} sample(s) left out that jump out and back, {said}", "")]
 
 
-def _endless(arm: Arm) -> Mask:
-    """(n,) whether each joint can turn all around."""
-    return arm.upper - arm.lower > 2 * np.pi - SAME
-
-
 def unwrapped(motion: RecordedMotion, arm: Arm) -> tuple[RecordedMotion, list[Remark]]:
-    """Join angles that pass from one end of a turn to the other, with commands in the same turn."""
-    wraps = _endless(arm) & (np.abs(np.diff(motion.position, axis=0)) > np.pi).any(axis=0)
+    """Join angles that pass from one end of a turn to the other; a command is in the turn in which it ends."""
+    wraps = arm.endless & (np.abs(np.abs(np.diff(motion.position, axis=0)) - 2 * np.pi) < WRAP).any(axis=0)
     if not wraps.any():
         return motion, []
-    position = np.where(wraps, np.unwrap(motion.position, axis=0), motion.position)
-    if motion.command is not None:
-        turns = np.round((position - motion.command) / (2 * np.pi))
-        motion = replace(motion, command=motion.command + 2 * np.pi * np.where(wraps, turns, 0.0))
+    position, command = np.where(wraps, np.unwrap(motion.position, axis=0), motion.position), motion.command
+    if command is not None:
+        changes = np.diff(command, axis=0, append=np.inf) != 0
+        rows = np.where(changes, np.arange(len(command))[:, None], len(command))
+        last = np.minimum.accumulate(rows[::-1], axis=0)[::-1]
+        turns = np.round((np.take_along_axis(position, last, axis=0) - command) / (2 * np.pi))
+        motion = replace(motion, command=command + 2 * np.pi * np.where(wraps, turns, 0.0))
     said = f"state: {', '.join(compress(motion.columns, wraps))} passes the end of a turn; joined"
     return replace(motion, position=position), [(said, "")]
 
 
 def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
     """Check angles against limits and speeds of the arm."""
-    excess = np.maximum(motion.position - arm.upper, arm.lower - motion.position) * ~_endless(arm)
+    excess = np.maximum(motion.position - arm.upper, arm.lower - motion.position) * ~arm.endless
     far, worst = (excess > LIMIT_MARGIN).mean(axis=0), excess.max(axis=0)
     for joint in np.flatnonzero(worst > 0):
         said = (

@@ -11,7 +11,7 @@ from typing import TypeAlias, TypeGuard, cast
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Motors, gravity_torque, position_kinematics, tcp_position
+from rejoint.arms import Arm, Array, Index, Motors, gravity_torque, position_kinematics, tcp_position
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.postures import too_heavy
 from rejoint.arms.workspace import length_size, torque_size
@@ -55,8 +55,8 @@ from rejoint.system.errors import AddressError, ContractError, FileError, InputE
 from rejoint.twin.parameters import back_emf, lifting_torque
 from rejoint.twin.twin import Twin
 
-LASTS = 1.0
-"""[s] of a visit at whose end the arm stands (chosen)"""
+STILL, STOOD = 0.4, float(np.radians(1.0))
+"""[s] at the end of a visit, and [rad] that joints of a standing arm move in them (chosen)"""
 ALONE, LEAST = 0.08, 0.013
 """[kg] of a myCobot 280: standard error of one posture's estimate (measured), and of many (chosen)"""
 
@@ -102,9 +102,11 @@ def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | Non
     return float((lever * weight**2 * missing).sum() / total), float(doubtful)
 
 
-def _ends(log: RunLog) -> list[int]:
-    """Rows at the ends of visits. The last row of each already has the command for the next one."""
-    return [int(visit[-2]) for visit in log.visits() if log.time[visit[-1]] - log.time[visit[0]] > LASTS]
+def _ends(log: RunLog) -> Index:
+    """Rows at the ends of visits at which the arm stands. The last row of each already has the next command."""
+    ends = np.array([visit[-2] for visit in log.visits() if len(visit) > 1], dtype=int)
+    before = np.searchsorted(log.time, log.time[ends] - STILL)
+    return ends[(np.abs(log.position[ends] - log.position[before]) < STOOD).all(axis=1)]
 
 
 def guard_limits(run: Run | None, arm: Arm, robot: str) -> GuardLimits:

@@ -98,7 +98,7 @@ class ArmSession(ArmDriver):
     _closed = False
 
     def lend(self, stage: Callable[..., T], *given: object, **options: object) -> T:
-        """Leave the run to a ``stage``, and the robot if it is ``given``; afterwards the run's new state counts."""
+        """Leave run and robot to a ``stage``; afterwards the run's new state counts."""
         if self.run is None:
             raise InputError("session: a stage writes what it finds into a run; connect with run=FOLDER")
         self._require_free()
@@ -115,8 +115,7 @@ class ArmSession(ArmDriver):
             if self._base is not None:
                 self._limit(self.robot)
                 self._last = self._seen = None
-                if given:  # a stage with the robot may have moved it: the next motion begins as the first one
-                    self._sent, self._rested = None, False
+                self._sent, self._rested = None, False  # the arm may have moved: it begins as at first
 
     @property
     def _moving(self) -> bool:

@@ -424,11 +424,12 @@ def say(found: Outlook, repair: str) -> str:
 
 def _advice(found: Outlook, repair: str) -> tuple[str, str]:
     worst, since = found.changes[0], _day(found.since)
+    named = {one.joint for one in found.moved} or {worst.joint or "the tool"}
+    others = {one.joint or "the tool" for one in found.changes if one.state == found.state} - named
+    also = f" ({found.state}{'; also ' * bool(others)}{', '.join(sorted(others))})"
     if found.moved:
-        worn = {one.joint for one in found.changes if one.state == "alarm" and one.quantity != "deviation"} - {""}
-        also = worn and f"; beside that {', '.join(sorted(worn))} wears (alarm)"
         return (
-            f"{_cause_of(found)}, which is no wear but a bump, a new setting or another load{also or ''}",
+            f"{_cause_of(found)}, which is no wear but a bump, a new setting or another load{also}",
             f"if it was so, check it again with --moved --repeat 5; if not, look whether {found.moved[0].joint} has "
             f"slipped, then {repair}",
         )
@@ -442,9 +443,7 @@ def _advice(found: Outlook, repair: str) -> tuple[str, str]:
         if due and due - found.newest < MONTH:
             later = f"nothing yet; check again by {_day(due)}, and make time for a repair"
         return f"No change since {since}", repair if found.over else later
-    others = {one.joint or "the tool" for one in found.changes if one.state == found.state}
-    also = ", ".join(sorted(others - {worst.joint or "the tool"}))
-    return f"{_cause_of(found)} ({found.state}){also and f'; also {also}'}", _act(found, worst, repair)
+    return f"{_cause_of(found)}{also}", _act(found, worst, repair)
 
 
 def _cause_of(found: Outlook) -> str:
