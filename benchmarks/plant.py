@@ -17,5 +17,5 @@ def main() -> None:
         plant = Plant(arm, [load_wear(f"worn?seed={i}", arm) for i in range(count)], seed=0)
         plant.reset(np.tile(arm.rest, (count, 1)))
         duration = 5.0 if count == 1 else 0.5
-        wall = min(repeat(partial(plant.advance, np.full(count, duration)), number=1, repeat=4)[1:])
-        print(f"{count:>6} {count * duration / wall:>15.0f}x")
+        wall = repeat(partial(plant.advance, np.full(count, duration)), number=1, repeat=4)[1:]
+        print(f"{count:>6} {count * duration / min(wall):>15.0f}x")

@@ -72,9 +72,8 @@ def test_a_joint_that_turns_all_around_has_no_end() -> None:
     endless = replace(ARM, lower=np.full(5, -np.pi), upper=np.full(5, np.pi))
     turned = [one + np.linspace(0.0, 5.0, 200)[:, None] for one in (GOOD.position, GOOD.command)]
     position, command = ((one + np.pi) % (2 * np.pi) - np.pi for one in turned)
-    log, notes = to_log(motion(replace(GOOD, position=position, command=command)), endless)
+    log, _ = to_log(motion(replace(GOOD, position=position, command=command)), endless)
     np.testing.assert_allclose([log.position, log.command], turned, atol=1e-9)
-    assert "beyond" not in notes[0]
 
 
 def test_joints_outside_their_limits():

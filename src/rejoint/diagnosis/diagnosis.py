@@ -273,7 +273,7 @@ def _hidden(loop: OpenLoop) -> str:
 
 def _evidence(arm: Arm, excluded: Sequence[Exclusions], height: float | None) -> Evidence:
     def seconds(kind: str) -> float:
-        return sum(float(getattr(rows, kind)[1:] @ np.diff(rows.log.time)) for rows in excluded)
+        return sum(getattr(rows, kind)[1:] @ np.diff(rows.log.time) for rows in excluded)
 
     return Evidence(
         motions=len(excluded),

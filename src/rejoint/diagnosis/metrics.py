@@ -390,7 +390,7 @@ def followed(data: ExcitationLog, joint: int) -> float | None:
     if not data.log.commanded or not len(rows) or np.ptp(asked) <= MIN_SWEEP:
         return None
     asked = asked - asked.mean()
-    return float(asked @ data.log.position[rows, joint] / (asked @ asked))
+    return asked @ data.log.position[rows, joint] / (asked @ asked)
 
 
 def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
@@ -409,7 +409,7 @@ def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
     runs = [(a, b) for a, b in runs if np.append(left, True)[b]]  # before, the joint may be on its way
     count = max(round(SETTLED_LAST / data.log.period), 1)
     stood = [sliding_window_view(np.abs(error[a:b]), min(count, b - a)).min(axis=-1).max() for a, b in runs]
-    return float(max(max(stood, default=0.0) - width, 0.0))
+    return max(max(stood, default=0.0) - width, 0.0)
 
 
 def overshoot(data: ExcitationLog, joint: int) -> Estimate:
@@ -566,7 +566,7 @@ def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, de
     excess = np.abs(demand) - np.abs(given)
     behind = (excess > np.abs(given)) & (demand * given > 0) & (np.abs(found.speed) < _STANDING)
     behind &= excess > margin + _EXCESS * torque_size(data.arm)
-    seen, share = np.quantile(np.abs(given), 0.995), float(behind.mean())
+    seen, share = np.quantile(np.abs(given), 0.995), behind.mean()
     of, size = found.cluster[behind], np.abs(given[behind])
     limit = mean_of(ndimage.median(size, of, np.unique(of))) if share >= _MIN_SHARE else None
     if limit is None or limit.value < 0.5 * seen:  # it could give more, and something else held it back

@@ -330,7 +330,7 @@ STANDS = 3.0
 """[s] after which a command has stood for long; chosen"""
 
 PER_LOG = 20
-"""Postures taken from each log; chosen"""
+"""Most postures taken from each log; chosen"""
 
 
 Postures = Array
@@ -358,6 +358,6 @@ def resting_postures(excluded: Exclusions, *, stops: bool = False) -> Postures:
         quiet[last] |= (np.abs(late - early) < AT_REST * SETTLED / 2).all()  # else it is on its way
     runs = free_runs(quiet, time, SETTLED_LAST)  # shorter ones are turning points
     parts = [part for a, b in runs for part in np.array_split(range(a, b), int((b - a) * log.period) or 1)]
-    some = np.linspace(0, len(parts) - 1, min(PER_LOG, len(parts))).astype(int)
-    means = [[joints[parts[k]].mean(axis=0) for k in some] for joints in (log.position, log.command)]
+    some = parts[:: len(parts) // PER_LOG + 1]
+    means = [[joints[part].mean(axis=0) for part in some] for joints in (log.position, log.command)]
     return np.reshape(means, (2, -1, log.position.shape[1]))

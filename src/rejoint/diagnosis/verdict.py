@@ -163,7 +163,7 @@ def find(
             told = None if kind in SEEMING and stuck(case) else rule(case)
             if told is None:
                 continue
-            tcp = 1e3 * float(told[0])
+            tcp = 1e3 * told[0]
             cost = f"{tcp:.1f} mm at the tool." if tcp >= FELT_MM else "nothing that the tip of the tool feels."
             found.append(
                 Finding(
@@ -326,4 +326,4 @@ def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> f
         return 0.0
     rows = zip(measurement.joints, healthy.joints, strict=True)
     excess = [late.value - usual.value for row, good in rows if (late := row.lag_s) and (usual := good.lag_s)]
-    return max(float(np.median(excess)), 0.0) if excess else 0.0
+    return max(np.median(excess), 0.0) if excess else 0.0

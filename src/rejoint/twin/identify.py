@@ -197,8 +197,8 @@ def fitted_twin(
     silent = problem.powered.sum(axis=0) == 0
     together = sum(told[at(name)] ** -2 for name in SCALE) ** -0.5  # of their scale, by all priors without data
     mute, vague = (np.append(one, False)[problem.owner] for one in (silent, sigma[at("stiffness")] > together))
-    beyond = vector + NORMAL95 * sigma > belief.upper  # only the bound tells where the interval ends
-    identified &= ~mute & ~((vague | beyond) & belief.layout.is_log)
+    # where an interval goes beyond its bound, only the bound tells where it ends
+    identified &= ~mute & ~((vague | (vector + NORMAL95 * sigma > belief.upper)) & belief.layout.is_log)
     held, limit = largest_static_torque(replay.arm, logs, parameters.coulomb), parameters.torque_limit
     identified[place] &= ~unreached
     light = np.abs(problem.gravity) < LIGHT_SAG * parameters.stiffness

@@ -116,8 +116,8 @@ def _motion(arm: Arm, rows: Exclusions, paths: dict[str, Array]) -> MotionErrors
     return MotionErrors(
         motion=log.label,
         seconds=log.duration,
-        contact_seconds=float(parts["contact"].sum()) * period,
-        left_out_seconds=float((~rows.readable).sum()) * period,
+        contact_seconds=parts["contact"].sum() * period,
+        left_out_seconds=(~rows.readable).sum() * period,
         errors={name: errors(path) for name, path in paths.items()},
     )
 

@@ -434,9 +434,11 @@ def _advice(found: Outlook, repair: str) -> tuple[str, str]:
             f"slipped, then {repair}",
         )
     if found.state == "learning":
-        again = "check again; the first ones may follow each other at once"
-        needed = f"{FEWEST} are needed to know what is usual for this arm, and one more to see a change"
-        return f"Check {found.checks} since {since}: {needed}", repair if found.over else again
+        return (
+            f"Check {found.checks} since {since}: {FEWEST} are needed to know what is usual for this arm, and one more "
+            "to see a change",
+            repair if found.over else "check again; the first ones may follow each other at once",
+        )
     if found.state == "steady":
         due = found.due and found.due.early
         later = "nothing; check again in a month"
