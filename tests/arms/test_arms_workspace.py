@@ -26,6 +26,7 @@ from rejoint.arms.workspace import (
     reach,
     rising_frames,
 )
+from rejoint.system.errors import InputError
 
 ARMS = {"mycobot280": mycobot280, "so101": so101}
 
@@ -64,7 +65,7 @@ def test_a_stretched_arm_cuts_the_region() -> None:
     forward, upward = [15.0, -50, -45, -20, 0, 0], [15.0, -15, -20, -15, 0, 0]
     for posture, axis in ((forward, 0), (upward, 2)):
         arm = replace(mycobot280(), rest=np.radians(posture))
-        arm = replace(arm, targets=derive_targets(arm))
+        arm = replace(arm, targets=derive_targets(arm)[1])
         assert arm.targets.upper[axis] < tcp_position(arm, arm.rest)[axis] + 0.001  # nothing beyond where it starts
         check_targets(arm)
 
@@ -102,7 +103,8 @@ def test_an_arm_without_targets_is_known() -> None:
     planar = replace(arm, axis=np.tile([1.0, 0, 0], (5, 1)), offset=np.tile(np.eye(4), (5, 1, 1)))
     assert on_a_surface(planar)
     assert not on_a_surface(arm)
-    assert derive_targets(replace(arm, rest=arm.upper)) is None
+    with pytest.raises(InputError):
+        derive_targets(replace(arm, rest=arm.upper))
 
 
 def test_a_shoulder_on_its_column_neither_rises_nor_sinks() -> None:

@@ -7,7 +7,6 @@ docs/files.md lists the TOML keys. In a URDF, errors of zeros and links go into 
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import compress
 from pathlib import Path
@@ -21,7 +20,7 @@ from rejoint.arms.inertia import inertia_matrix, inertia_values, plausible
 from rejoint.arms.kinematics import Displacement, tcp_position
 from rejoint.arms.modelfile import Places, cut, read_tree
 from rejoint.arms.rotations import pose_of, quaternion_of, roll_pitch_yaw, rotation_of, turned
-from rejoint.arms.workspace import NoPostureError, derive_targets, derive_workspace, length_size, on_a_surface, reach
+from rejoint.arms.workspace import derive_targets, derive_workspace, length_size, on_a_surface, reach
 from rejoint.system.errors import InputError
 from rejoint.system.files import Number, Positive, Table, Text, Triple, as_path, read_toml, toml_of, write_text
 
@@ -102,15 +101,9 @@ class _ArmFile(Table):
             raise ValueError(f"rest_deg: expected {len(names)} angles, found {len(self.rest_deg)}")
 
 
-def write_arm_toml(path: Path, arm: Arm, notes: Sequence[str] = ()) -> None:
-    """Write an arm, accurate to 1e-12, below ``notes`` as comments; without targets a last one asks for a rest."""
-    lines, posed = [f"# {note}" for note in notes], not np.isnan(arm.targets.lower).any()
-    if not posed:
-        lines.append(
-            f"# rest_deg = [{', '.join(['0'] * arm.joints)}]  # take away the first #: tool in front, elbow up, no "
-            "joint near a limit"
-        )
-    write_text(path, "\n".join([*lines, toml_of(_table(arm, posed))]))
+def write_arm_toml(path: Path, arm: Arm) -> None:
+    """Write an arm, accurate to 1e-12."""
+    write_text(path, toml_of(_table(arm)))
 
 
 def read_draft(path: Path) -> Loaded:
@@ -142,14 +135,14 @@ def read_draft(path: Path) -> Loaded:
     return Loaded(arm=arm)
 
 
-def _table(arm: Arm, posed: bool) -> dict[str, Any]:
+def _table(arm: Arm) -> dict[str, Any]:
     return {
         "name": arm.name,
         "floor_m": arm.floor,
         "encoder_counts_per_turn": 2 * np.pi / arm.encoder_step,
         "servo_acceleration_rad_s2": arm.servo_acceleration if np.isfinite(arm.servo_acceleration) else None,
-        "rest_deg": np.degrees(arm.rest) if posed else None,
-        "targets": _bounds(arm.targets) if posed else None,
+        "rest_deg": np.degrees(arm.rest),
+        "targets": _bounds(arm.targets),
         "keep_out": [_bounds(box) for box in arm.keep_out] or None,
         "tip": _frame(arm.tip),
         "joint": [
@@ -260,7 +253,7 @@ FLOOR_RATIO = 0.04
 
 
 def finish(draft: Loaded) -> Loaded:
-    """Complete an arm in which NaN is unknown, as are masses of zero; NoPostureError without rest or targets."""
+    """Complete an arm in which NaN is unknown, as are masses of zero."""
     given, notes = draft.arm, list(draft.notes)
     if np.isnan(given.rest).any() and not np.isnan(given.targets.lower).any():
         raise InputError(f"arm {given.name}: targets are given without a rest posture; give rest_deg too, or neither")
@@ -281,29 +274,21 @@ def finish(draft: Loaded) -> Loaded:
         arm = replace(arm, floor=round(FLOOR_RATIO * reach(arm), 3))
         notes.append(f"floor: none given; {1e3 * arm.floor:.0f} mm above the base's origin assumed")
     if np.isnan(arm.targets.lower).any():
-        try:
-            arm = _with_workspace(arm, bool(np.isnan(given.rest).any()), notes)
-        except NoPostureError as error:
-            error.arm, error.notes = arm, tuple(notes)
-            raise
+        arm = _with_workspace(arm, bool(np.isnan(given.rest).any()), notes)
     return Loaded(arm=arm, notes=tuple(notes))
 
 
 def _with_workspace(arm: Arm, derives: bool, notes: list[str]) -> Arm:
-    """Derive targets, and the rest posture too where it ``derives`` one."""
-    if derives and not on_a_surface(arm):
-        rest, targets = derive_workspace(arm)
-        arm = replace(arm, rest=rest, targets=targets)
-        notes.append(f"rest posture: none given; {_listed(np.degrees(rest))} deg derived by sampling")
-    elif found := derive_targets(arm):
-        arm = replace(arm, targets=found)
-    else:
+    """Derive targets, and the rest posture too where it ``derives`` one; where there are none, the resting TCP."""
+    try:
+        rest, targets = (derive_workspace if derives and not on_a_surface(arm) else derive_targets)(arm)
+    except InputError as error:
         tcp = tcp_position(arm, arm.rest)
-        notes.append(
-            "targets: around the rest posture there is no region to drive the TCP to, as where joints move it on a "
-            "line or a surface only; its logs can be used as those of any arm"
-        )
+        notes.append(f"targets: {error}; its logs can be used as those of any arm")
         return replace(arm, targets=Box(lower=tcp - POINT, upper=tcp + POINT))
+    if rest is not arm.rest:
+        notes.append(f"rest posture: none given; {_listed(np.degrees(rest))} deg derived by sampling")
+    arm = replace(arm, rest=rest, targets=targets)
     low, high = _listed(1e3 * arm.targets.lower), _listed(1e3 * arm.targets.upper)
     notes.append(f"targets: none given; the box from {low} to {high} mm derived by sampling")
     return arm

@@ -82,18 +82,14 @@ def on_a_surface(arm: Arm) -> bool:
     return survey.manipulability < _FLAT * survey.reach**3
 
 
-def derive_targets(arm: Arm) -> Box | None:
-    """Target region around the resting TCP, if there is one."""
-    return _largest_box(_survey(arm), arm.rest)
-
-
-class NoPostureError(InputError):
-    """No rest posture with targets was found."""
-
-    arm: Arm | None = None
-    """with placeholders for them, of an arm from a file"""
-    notes: tuple[str, ...] = ()
-    """on it"""
+def derive_targets(arm: Arm) -> tuple[Array, Box]:
+    """Rest posture (n,) [rad] of the arm, and a target region around the resting TCP; InputError."""
+    if (found := _largest_box(_survey(arm), arm.rest)) is None:
+        raise InputError(
+            "around the rest posture there is no region to drive the TCP to, as where joints move it on a line or a "
+            "surface only"
+        )
+    return arm.rest, found
 
 
 class _Survey(NamedTuple):
@@ -372,7 +368,7 @@ def postures_to_hold(arm: Arm, rng: np.random.Generator, *, spread: float, offse
 
 
 def derive_workspace(arm: Arm) -> tuple[Array, Box]:
-    """Rest posture (n,) [rad] and targets with room for an excitation; NoPostureError."""
+    """Rest posture (n,) [rad] and targets with room for an excitation; InputError."""
     survey, why, found = _survey(arm), "", []
     for apart, margin in _SEARCHES:
         for rest in _rest_candidates(survey, apart, margin):
@@ -389,7 +385,7 @@ def derive_workspace(arm: Arm) -> tuple[Array, Box]:
     if found:
         return max(found, key=lambda one: one[0])[1:]
     lack = f"has room for an excitation (of the best one: {why})" if why else "has a region of reachable targets"
-    raise NoPostureError(
-        f"arm {arm.name}: no posture with the TCP in front of the base (x > 0), every joint frame above the floor "
-        f"and room in every joint {lack}; give rest_deg in the arm's TOML file"
+    raise InputError(
+        "no posture with the TCP in front of the base (x > 0), every joint frame above the floor and room in every "
+        f"joint {lack}; to drive it, give rest_deg in the arm's TOML file, such as arm.toml of a run"
     )

@@ -1,6 +1,5 @@
 """The options that commands share, each declared once, and the call of a command that receives them."""
 
-import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import wraps
@@ -14,8 +13,7 @@ import typer
 
 from rejoint.arms import Arm, Box
 from rejoint.arms.inertia import Payload as LoadedWith
-from rejoint.arms.loading import read_arm, write_arm_toml
-from rejoint.arms.workspace import NoPostureError
+from rejoint.arms.loading import read_arm
 from rejoint.cli import show, texts
 from rejoint.cli.console import OPTION, Terminal
 from rejoint.control.recording import Observer, Observers
@@ -72,24 +70,10 @@ class Call(Terminal, Observer):
         return self.named.address or robot
 
     def arm(self, robot: str | None = None) -> Arm:
-        """Load the arm, by default the one that ``robot`` is, and say what its description left open.
-
-        Without a rest posture the arm is written to a TOML file for its owner.
-        """
+        """Load the arm, by default the one that ``robot`` is, and say what its description left open."""
         source, base, tip, hold = self.pick
         source = source or self.named.description or (DEFAULT_ARM if robot is None else place_of(robot).default_arm)
-        try:
-            loaded = read_arm(source, base=base, tip=tip, hold=held_positions(hold))
-        except NoPostureError as error:
-            if error.arm is None or source.endswith(".toml"):
-                raise
-            path = Path(f"{re.sub(r'[^A-Za-z0-9_-]+', '-', error.arm.name)}.toml")
-            if path.exists():
-                raise InputError(f"{error}, and that as --arm; {path} is there already, so none was written") from error
-            write_arm_toml(path, error.arm, error.notes)
-            raise InputError(
-                f"{error}: {path} is written, give it in line {len(error.notes) + 1}, and the file as --arm"
-            ) from error
+        loaded = read_arm(source, base=base, tip=tip, hold=held_positions(hold))
         for note in loaded.notes:
             self.message(f"arm {loaded.arm.name}: {note}")
         return loaded.arm
