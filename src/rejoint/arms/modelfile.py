@@ -5,10 +5,10 @@ Meshes may be missing. Joints outside the chain are frozen.
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
-from itertools import compress, takewhile
+from itertools import chain, compress, takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -100,7 +100,7 @@ def read_tree(path: Path, hold: Places | None = None) -> Tree:
             else mujoco.MjSpec.from_file(str(path))
         )
         coupled = {one.name1: one.name2 for one in spec.equalities if one.type == mujoco.mjtEq.mjEQ_JOINT}
-        _strip(spec, notes)
+        _strip(spec, notes, weighs=not urdf)
         _repair(spec, notes, urdf)
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
@@ -133,30 +133,48 @@ def read_tree(path: Path, hold: Places | None = None) -> Tree:
     )
 
 
-def _strip(spec: Any, notes: list[str]) -> None:  # noqa: ANN401
-    """Take away all but bodies, joints, named sites and primitive shapes; name bodies and joints."""
-    shapes = mujoco.mjtGeom
-    meshes = shapes.mjGEOM_MESH, shapes.mjGEOM_HFIELD, shapes.mjGEOM_SDF
-    for body in spec.bodies:
-        drawn = [geom for geom in body.geoms if geom.meshname or geom.type in meshes]
-        for element in drawn + [site for site in body.sites if not site.name]:
-            spec.delete(element)
-        for element in [*body.geoms, *body.sites]:
-            element.material = ""
-        if drawn and body.geoms and not body.explicitinertial:
-            notes.append(f"body {body.name}: no inertial; its mass is that of its primitive shapes, without its meshes")
-    kinds = "keys sensors actuators tendons equalities pairs excludes skins flexes meshes hfields materials textures"
-    for kind in kinds.split():
-        for element in list(getattr(spec, kind)):
-            spec.delete(element)
+def _strip(spec: Any, notes: list[str], *, weighs: bool) -> None:  # noqa: ANN401
+    """Take away all but bodies, joints, named sites and primitive shapes; name bodies and joints.
+
+    With ``weighs``, bodies without inertial get what MuJoCo makes of their meshes too.
+    """
+    kinds = "keys sensors actuators tendons equalities pairs excludes skins flexes materials textures"
+    _delete(spec, *(element for kind in kinds.split() for element in getattr(spec, kind)))
     for index, body in enumerate(spec.bodies):
         body.name = body.name or f"body{index}"
+        _delete(spec, *(site for site in body.sites if not site.name))
+        for element in [*body.geoms, *body.sites]:
+            element.material = ""
     for index, joint in enumerate(spec.joints, start=1):
         joint.name = joint.name or f"joint{index}"
     spec.compiler.fusestatic = False
     spec.compiler.balanceinertia = True
     spec.compiler.boundmass, spec.compiler.boundinertia = _NOTHING, LEAST_MOMENT / 10
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    shapes = mujoco.mjtGeom
+    meshes = shapes.mjGEOM_MESH, shapes.mjGEOM_HFIELD, shapes.mjGEOM_SDF
+    drawn = {body: [one for one in body.geoms if one.meshname or one.type in meshes] for body in spec.bodies}
+    if bodies := [one for one in spec.bodies[1:] if weighs and drawn[one] and not one.explicitinertial]:
+        _weigh(spec, bodies, notes)
+    _delete(spec, *chain(*drawn.values()), *spec.meshes, *spec.hfields)
+
+
+def _weigh(spec: Any, bodies: Sequence[Any], notes: list[str]) -> None:  # noqa: ANN401
+    try:
+        model = spec.copy().compile()
+    except (ValueError, mujoco.FatalError):
+        names = ", ".join(body.name for body in bodies)
+        notes.append(f"bodies {names}: no inertial, and MuJoCo cannot read their meshes; without the mass of these")
+        return
+    for body in bodies:
+        body.explicitinertial = True
+        for name in ("mass", "ipos", "iquat", "inertia"):
+            setattr(body, name, getattr(model, f"body_{name}")[body.id])
+
+
+def _delete(spec: Any, *elements: Any) -> None:  # noqa: ANN401
+    for element in elements:
+        spec.delete(element)
 
 
 def _repair(spec: Any, notes: list[str], urdf: bool) -> None:  # noqa: ANN401
