@@ -263,6 +263,14 @@ def test_a_joint_that_gives_way_is_named_though_the_arm_never_rests():
     assert found.condition == "bad"
 
 
+def test_a_frozen_joint_costs_what_its_motion_misses_though_it_rests_where_it_is_sent():
+    time = np.arange(0.0, 40.0, 0.02)
+    command = np.outer(0.5 * np.sin(0.5 * time).clip(0.0), np.ones(ARM.joints))
+    log = as_log("frozen", time, command * (np.arange(ARM.joints) != 1) + 1e-3, command)
+    found = diagnose_logs(ARM, [log], None).findings
+    assert max(one.tcp_mm for one in found if one.kind == "stuck") > 10.0
+
+
 def test_current_tells_friction_where_nobody_recorded_commands():
     log = states_with_current(np.full(ARM.joints, 0.4), 0.0)
     with pytest.raises(InputError, match="hold no commands"):
