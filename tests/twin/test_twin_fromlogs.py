@@ -175,14 +175,16 @@ def test_motion_in_which_a_joint_had_no_power_counts_for_the_others_alone(freedo
 
 
 def test_what_repeats_a_motion_that_is_held_out_is_not_fitted():
-    def program(label, seeds, cycles=1):
-        command = np.concatenate([wandering(seed, 12.0)[1] for seed in (*seeds,) * cycles])
+    def program(label, seeds, cycles=1, seconds=12.0):
+        command = np.concatenate([wandering(seed, seconds)[1] for seed in (*seeds,) * cycles])
         time = np.arange(len(command)) * PERIOD
         return RunLog.of(time, command, command + 1e-3 * len(label), arm=ARM.name, label=label)
 
     seen, unseen = part(ARM, [program("ten cycles", [0], 10)])
     assert np.concatenate(repeated(unseen, seen)).mean() < 0.2
     assert sum(map(len, seen)) > 0.5 * 10 * 600
+    seen, unseen = part(ARM, [program("short cycles", [0], 10, 2.2)])  # an end that is no cycle would seem new
+    assert np.concatenate(repeated(unseen, seen)).mean() > 0.9
     again, new = repeated([program("again", [0]), program("new", [1])], [program("ten cycles", [0], 10)])
     assert again.mean() > 0.9
     assert not new.any()
