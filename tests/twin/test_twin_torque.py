@@ -63,5 +63,8 @@ def test_a_twin_has_the_scale_of_the_torque():
 
 
 def test_torque_of_the_other_sign_shows():
-    found = diagnose_logs(STRANGER, [replace(log, torque=-log.torque) for log in motions(0.0)], None)
-    assert found.measurement.torque_over_load == pytest.approx(-1.5, 0.05)
+    turned = [replace(log, torque=-log.torque) for log in motions(0.0)]
+    for logs in (turned, [replace(log, command=np.nan * log.command) for log in turned]):
+        found = diagnose_logs(STRANGER, logs, None)
+        assert found.measurement.torque_over_load == pytest.approx(-1.5, 0.05)
+        assert any("carries the weight" in line for line in found.unseen)

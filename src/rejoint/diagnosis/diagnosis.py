@@ -205,6 +205,7 @@ def diagnose_logs(
                 for joint, n in silent.items()
             ),
             *((BARE,) if bare else (*_untold(measurement), LAG_ALONE)),
+            *_doubted(measurement),
             BEHIND,
             *(f"{remark}." for remark in remarks_on(logs)),
         ),
@@ -253,13 +254,17 @@ def _untold(measurement: Measurement) -> tuple[str, ...]:
         joints = [row.joint for row in rows if getattr(row, quantity) is None]
         if joints:
             told.append(words.format("every joint" if len(joints) == len(rows) else ", ".join(joints)))
-    over = measurement.torque_over_load or 1.0
-    if not 1.0 / AGREE < over < AGREE:
-        told.append(
-            f"Logged torque is {over:.4g} times what carries the weight of the model: check its sign and unit, and the "
-            "masses and load of the arm."
-        )
     return tuple(told)
+
+
+def _doubted(measurement: Measurement) -> tuple[str, ...]:
+    over = measurement.torque_over_load or 1.0
+    if 1.0 / AGREE < over < AGREE:
+        return ()
+    return (
+        f"Logged torque is {over:.4g} times what carries the weight of the model: check its sign and unit, and the "
+        "masses and load of the arm.",
+    )
 
 
 def _hidden(loop: OpenLoop) -> str:

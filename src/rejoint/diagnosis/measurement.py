@@ -185,8 +185,6 @@ def measure_logs(data: ExcitationLog) -> Measurement:
     """Measure every joint from joined logs."""
     laws = _laws(data)
     rows = [_row(data, joint, *told) for joint, told in enumerate(zip(laws, _known(data, laws), strict=True))]
-    if not any(row.coulomb_effort and (row.coulomb_effort.low or 0.0) > 0.0 for row in rows):  # no sign, or turned
-        rows = [replace(row, coulomb_effort=None, viscous_effort=None) for row in rows]
     return Measurement(
         joints=tuple(rows),
         period_s=data.log.period,
@@ -198,7 +196,7 @@ def measure_logs(data: ExcitationLog) -> Measurement:
 def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -> JointMetrics:
     half = None if law is None else law.estimate(WIDTH)
     effort = fit_effort(data, joint)
-    if effort and (effort.estimate(WIDTH).high or 0.0) < 0.0:  # its sign is turned
+    if effort and (effort.estimate(WIDTH).low or 0.0) <= 0.0:  # it shows none, or its sign is turned
         effort = None
     return JointMetrics(
         joint=data.arm.joint_names[joint],
@@ -308,7 +306,7 @@ def _explained(pulls: Array, along: Array = GRAVITY) -> Array:
 
 def _over_load(data: ExcitationLog) -> float | None:
     """Return `Measurement.torque_over_load`."""
-    if data.effort_unit != "N m" or not data.log.commanded:
+    if data.effort_unit != "N m":
         return None
     loaded = np.ptp(data.gravity, axis=0) >= LOADED * torque_size(data.arm)
     fits = [fit_effort(data, joint, own=True) for joint in np.flatnonzero(loaded).tolist()]
