@@ -254,7 +254,7 @@ def _notes(twin: Twin, found: Fit, light: Mask, silent: Mask) -> list[str]:
         )
     if pressed := list(compress(twin.names, found.at_bound)):
         notes.append(f"held at a physical bound: {', '.join(pressed)}")
-    if held_out.twin.joint > min(rival.joint for rival in (held_out.no_twin, held_out.healthy_twin) if rival):
+    if held_out.twin.tcp > min(rival.tcp for rival in (held_out.no_twin, held_out.healthy_twin) if rival):
         notes.append(
             "on motion it has not seen the twin predicts worse than a healthy twin or none: do not train in it"
         )
@@ -373,7 +373,7 @@ class Motions:
 
     def chosen(self, windows: Sequence[Window]) -> list[Window]:
         """Return some ``windows`` and those in which limits show, in their order."""
-        return [window for window in self.windows if window in {*windows, *self.far}]
+        return sorted({*windows, *self.far}, key=self.windows.index)
 
     def settle(self, structure: Structure, start: Array) -> tuple[Problem, Fit]:
         """Fit windows from all logs, from ``start`` (k,); the delay is below zero only with evidence."""
