@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 from log_samples import ARM
 
+from rejoint.logs.columns import calibrated_ranges
 from rejoint.logs.importing import detect, import_logs
 from rejoint.logs.joints import ImportOptions
 from rejoint.system.errors import FileError
@@ -77,6 +78,13 @@ def test_normalised_values_need_the_calibration(tmp_path):
     calibration.write_text("{}")
     with pytest.raises(FileError, match=r"arm.json: calibration: no column for joint shoulder_pan"):
         import_logs(DATASET, ARM, out=tmp_path / "other", options=options)
+
+
+def test_ranges_follow_from_steps_and_a_still_joint_has_its_usual_one():
+    step = 200.0 / 2100
+    raw = step * np.round(60.0 / step * np.sin(np.outer(0.01 * np.arange(900), [1.0, 2.0, 3.0, 4.0, 0.0])))
+    usual = np.ptp([ARM.lower[-1], ARM.upper[-1]]) * 2048 / np.pi
+    np.testing.assert_allclose(calibrated_ranges(raw, ARM, DATASET), [2100, 2100, 2100, 2100, usual])
 
 
 def test_several_files_mixed_rows_and_prefixed_names_make_the_same_logs(dataset: Path, tmp_path):

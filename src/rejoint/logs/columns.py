@@ -93,10 +93,12 @@ def _normalised_step(values: Array) -> float | None:
 
 
 def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
-    """Calibrated range (n,) [counts] of joints from normalised readings (T, n); FileError without enough motion."""
+    """Calibrated range (n,) [counts] of joints from normalised readings (T, n), of still ones the usual; FileError."""
     counts = []
-    for joint, name in zip(raw.T, arm.joint_names, strict=True):
-        step = next((_normalised_step(one) for one in readings(joint[:, None], 4)), None)
+    for joint, name, usual in zip(raw.T, arm.joint_names, np.ptp([arm.lower, arm.upper], axis=0), strict=True):
+        step = 200.0 * 2 * np.pi / (usual * COUNTS_PER_TURN)
+        for own in readings(joint[:, None], 4):
+            step = _normalised_step(own)
         if step is None:
             raise FileError(
                 path,
