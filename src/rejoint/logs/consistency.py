@@ -349,7 +349,7 @@ def _check_motion(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
             yield (
                 f"state: {motion.columns[joint]} moves at {usual[joint]:.3g} rad/s and more in a tenth of the log, "
                 f"joint {arm.joint_names[joint]} at up to {arm.max_speed[joint]:.3g}",
-                _TIME_REMEDY,
+                f"{_TIME_REMEDY}; or give the arm's speeds in its file",
             )
     far, steps = np.abs(way), np.maximum(steps, np.median(steps))
     speed, took = far / steps, np.maximum(steps[:-2], steps[1:-1])  # a late stamp lengthens the step before
@@ -461,6 +461,7 @@ def _check_lag(motion: RecordedMotion, command: Array) -> Iterator[Remark]:
         return
     said = (
         f"the states follow their commands best after {lag.best:.2g} s, expected {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g}: "
-        "perhaps clocks differ, both are exchanged, or commands are goals that something else moves to"
+        "perhaps clocks differ, both are exchanged, the controller feeds speed forward, or commands are goals that "
+        "something else moves to"
     )
     yield said, "record both with the stamps of one clock" if lag.sure else ""
