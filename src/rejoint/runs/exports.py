@@ -212,19 +212,24 @@ class Design(NamedTuple):
 
 
 def design_of(run: Run, best: str) -> Design:
-    """Return the controller called ``best``, else the policy, else the feed-forward.
+    """Return the controller called ``best``, else the nearest of those compared that can be written.
 
-    InputError for policies by the paper's recipe.
+    Without a comparison the policy, else the feed-forward. InputError for policies by the paper's recipe.
     """
-    arm, name = run.arm, FeedforwardController.name
-    policy = shelf_policy(arm) if best == SHELF else run.policy if best != name else None
+    arm, name, taken, comparison = run.arm, FeedforwardController.name, inner_name(best), run.comparison
+    written = (SHELF, POLICY, name)
+    if taken not in written:
+        rows = [row for row in (comparison.rows if comparison else ()) if inner_name(row.controller) in written]
+        settled = [np.inf if row.out or row.settled is None else row.settled.mean.value for row in rows]
+        taken = inner_name(rows[np.argmin(settled)].controller) if rows else POLICY
+    policy = shelf_policy(arm) if taken == SHELF else run.policy if taken == POLICY else None
     if policy is None:
         twin = run.twin
         own = FeedforwardController(arm, None if twin is None else twin.parameters.stiffness)
         law = CommandLaw(anchor="goal", stiffness=tuple(own.stiffness[0].tolist()), envelope_margin=2.0 * np.pi)
         design = Design(arm=arm, law=law, network=None, name=name)
     else:
-        contract, name = policy.contract, "generic policy" if best == SHELF else POLICY
+        contract, name = policy.contract, "generic policy" if taken == SHELF else POLICY
         check_contract(contract, arm)
         if contract.law.anchor != "goal" or contract.layout != "residual":
             raise InputError(
@@ -237,8 +242,8 @@ def design_of(run: Run, best: str) -> Design:
     if best == SHELF or name == (inner_name(best) if name == POLICY else best):
         return design
     proof = f"The run has not compared {name}."
-    if comparison := run.comparison:
-        tried = [achieves(row, comparison) for row in comparison.rows if inner_name(row.controller) == name]
+    if comparison:
+        tried = [achieves(row, comparison) for row in comparison.rows if inner_name(row.controller) == taken]
         proof = " ".join(tried) or proof
     return design._replace(instead=f"{best} cannot be written so; this is the {name} of the run instead. {proof}")
 
