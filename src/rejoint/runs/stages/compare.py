@@ -10,6 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, Pipe
+from secrets import token_hex
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
 from rejoint.control.comparison.result import Comparison, Driven, Key, Protocol, TargetErrors
 from rejoint.control.controllers.classical import DefaultController
+from rejoint.control.controllers.policy import Policy
 from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
 from rejoint.control.robot import JointState, Robot
@@ -244,8 +246,17 @@ class ComparisonJob:
         turns = self.trials.get("turns")
         turned = turns and [part.tolist() for part in (turns.rotation, turns.whole, turns.weight)]
         options = self.period, self.trials.get("correction"), self.before is None, turned
-        about = setup_of(self.arm), self.settings, list(self.factories), self.targets.tolist(), files, options
+        tried = [(name, _identity(name, make)) for name, make in self.factories.items()]
+        about = setup_of(self.arm), self.settings, tried, self.targets.tolist(), files, options
         return digest(repr((__version__, address_of(self.robot), about)).encode())
+
+
+def _identity(name: str, make: Factory) -> str:
+    """Return what tells a controller from others of its ``name``; nothing tells an own object."""
+    if getattr(make, "args", None) == (name,):  # of the catalogue
+        return name
+    policy = getattr(make, "__self__", None)
+    return digest(policy.content) if isinstance(policy, Policy) else token_hex()
 
 
 SETS, REPETITIONS = 10, 6
@@ -288,7 +299,7 @@ def compare(
 
     Emulated arms run in parallel. On a real one, controllers take turns in blocks of targets; after three misses in a
     row, or if significantly worse, they are eliminated. The run's diagnosis counts as trials of ``default``. The same
-    call resumes after the last finished trial.
+    call resumes after the last finished trial, unless objects of your own take part: they may have changed.
 
     Parameters
     ----------
