@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from rejoint.arms import Array
 from rejoint.control.controllers.policy import Policy
 from rejoint.control.recording import Observer, pacing
-from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, search
+from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, differing, gains_in_force, search
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import remarks_on, require_commands
@@ -392,6 +392,12 @@ def gains(
         ArmSession(robot, run=run, settings=settings, observer=observer) as session,
         session.metered("gains") as tried,
     ):
+        told, now = session.run and session.run.diagnosis, gains_in_force(session.robot)
+        if told and now and (others := {name for name, _ in differing(told.servo_gains or {}, now)}):
+            session.observer.message(
+                f"The servos have another {', '.join(sorted(others))} than in the diagnosis, and the search begins "
+                "there. If a search was cut short, switch the arm off and on before the next."
+            )
         points = draw_targets(session.arm, sets=1, count=TARGETS, seed=session.seed)[0]
         found = search(tried, points, limits=session.limits, on_progress=update)
         if session.run is not None:
