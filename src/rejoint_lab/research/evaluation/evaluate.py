@@ -44,6 +44,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.procedure import Suggestion, before, suggest
+from rejoint.logs.history import setup_of
 from rejoint.pages.report.tables import ResultColumns, plain_table, result_columns
 from rejoint.pages.words import MM, Cell, measured, number
 from rejoint.session.context import believed_motors
@@ -190,7 +191,7 @@ def evaluate(
         found: dict[str, list[Columns]] = {}
         for place, one in enumerate(contestants, start=len(comparisons) * len(contestants)):
             calibrations = None if one.calibrations is None else partial(one.calibrations, variant)
-            identity = repr((__version__, arm.name, variant, one.identity, family))
+            identity = repr((__version__, setup_of(arm), variant, one.identity, family))
             columns = try_on(
                 arm,
                 partial(open_family, arm, variant, family),

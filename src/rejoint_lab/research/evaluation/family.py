@@ -23,6 +23,7 @@ from rejoint.control.reference import Ways, with_ways
 from rejoint.control.robot import Controller, Robot
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.logs.history import setup_of
 from rejoint.logs.runfolder import RunFolder
 from rejoint.session.context import believed_motors
 from rejoint.system.errors import InputError
@@ -184,7 +185,13 @@ def own_twins(
     """Return a twin of each worn arm, fitted to an excitation of its own, kept in ``folder``."""
     ends = np.linspace(0.0, 1.0, len(seeds) + 1)
     return [  # one plan of excitation, of ``seed``: a few are not safe and are refused
-        own_twin(arm, one, RunFolder(folder / "arms" / f"{arm.name}-{one}"), seed, part(on_progress, *ends[i : i + 2]))
+        own_twin(
+            arm,
+            one,
+            RunFolder(folder / "arms" / f"{arm.name}-{setup_of(arm)[:8]}-{one}"),
+            seed,
+            part(on_progress, *ends[i : i + 2]),
+        )
         for i, one in enumerate(seeds)
     ]
 
