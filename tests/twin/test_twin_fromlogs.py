@@ -183,7 +183,7 @@ def test_what_repeats_a_motion_that_is_held_out_is_not_fitted():
     seen, unseen = part(ARM, [program("ten cycles", [0], 10)])
     assert np.concatenate(repeated(unseen, seen)).mean() < 0.2
     assert sum(map(len, seen)) > 0.5 * 10 * 600
-    seen, unseen = part(ARM, [program("short cycles", [0], 10, 2.2)])  # an end that is no cycle would seem new
+    seen, unseen = part(ARM, [program("short cycles", [0], 10, 2.4)])  # an end that is no cycle would seem new
     assert np.concatenate(repeated(unseen, seen)).mean() > 0.9
     again, new = repeated([program("again", [0]), program("new", [1])], [program("ten cycles", [0], 10)])
     assert again.mean() > 0.9

@@ -136,13 +136,14 @@ def read_draft(path: Path) -> Loaded:
 
 
 def _table(arm: Arm) -> dict[str, Any]:
+    region = np.ptp([arm.targets.lower, arm.targets.upper], axis=0).max() > 3 * POINT
     return {
         "name": arm.name,
         "floor_m": arm.floor,
         "encoder_counts_per_turn": 2 * np.pi / arm.encoder_step,
         "servo_acceleration_rad_s2": arm.servo_acceleration if np.isfinite(arm.servo_acceleration) else None,
         "rest_deg": np.degrees(arm.rest),
-        "targets": _bounds(arm.targets),
+        "targets": _bounds(arm.targets) if region else None,
         "keep_out": [_bounds(box) for box in arm.keep_out] or None,
         "tip": _frame(arm.tip),
         "joint": [

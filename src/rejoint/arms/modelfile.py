@@ -5,10 +5,10 @@ Meshes may be missing. Joints outside the chain are frozen.
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from copy import copy
-from itertools import chain, compress, takewhile
+from itertools import compress, takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -100,8 +100,9 @@ def read_tree(path: Path, hold: Places | None = None) -> Tree:
             else mujoco.MjSpec.from_file(str(path))
         )
         coupled = {one.name1: one.name2 for one in spec.equalities if one.type == mujoco.mjtEq.mjEQ_JOINT}
-        _strip(spec, notes, weighs=not urdf)
+        _strip(spec)
         _repair(spec, notes, urdf)
+        _weigh(spec, notes, urdf)
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise FileError(path, f"MuJoCo cannot use it: {' '.join(str(error).split())}", "correct the file") from error
@@ -133,11 +134,8 @@ def read_tree(path: Path, hold: Places | None = None) -> Tree:
     )
 
 
-def _strip(spec: Any, notes: list[str], *, weighs: bool) -> None:  # noqa: ANN401
-    """Take away all but bodies, joints, named sites and primitive shapes; name bodies and joints.
-
-    With ``weighs``, bodies without inertial get what MuJoCo makes of their meshes too.
-    """
+def _strip(spec: Any) -> None:  # noqa: ANN401
+    """Take away all but bodies, joints, named sites and shapes; name bodies and joints."""
     kinds = "keys sensors actuators tendons equalities pairs excludes skins flexes materials textures"
     _delete(spec, *(element for kind in kinds.split() for element in getattr(spec, kind)))
     for index, body in enumerate(spec.bodies):
@@ -151,25 +149,32 @@ def _strip(spec: Any, notes: list[str], *, weighs: bool) -> None:  # noqa: ANN40
     spec.compiler.balanceinertia = True
     spec.compiler.boundmass, spec.compiler.boundinertia = _NOTHING, LEAST_MOMENT / 10
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+
+
+def _weigh(spec: Any, notes: list[str], urdf: bool) -> None:  # noqa: ANN401
+    """Take meshes away; in an MJCF file, bodies without inertial get what MuJoCo makes of theirs."""
     shapes = mujoco.mjtGeom
     meshes = shapes.mjGEOM_MESH, shapes.mjGEOM_HFIELD, shapes.mjGEOM_SDF
-    drawn = {body: [one for one in body.geoms if one.meshname or one.type in meshes] for body in spec.bodies}
-    if bodies := [one for one in spec.bodies[1:] if weighs and drawn[one] and not one.explicitinertial]:
-        _weigh(spec, bodies, notes)
-    _delete(spec, *chain(*drawn.values()), *spec.meshes, *spec.hfields)
-
-
-def _weigh(spec: Any, bodies: Sequence[Any], notes: list[str]) -> None:  # noqa: ANN401
+    drawn = [one for body in spec.bodies for one in body.geoms if one.meshname or one.type in meshes]
+    bare = [one for one in spec.bodies[1:] if not (urdf or one.explicitinertial)]
+    bare = [one for one in bare if any(geom.parent == one for geom in drawn)]
+    weighed = [one for one in drawn if one.parent in bare]
+    used = {one.meshname for one in weighed}
+    _delete(spec, *(one for one in drawn if one not in weighed), *(one for one in spec.meshes if one.name not in used))
+    for one in weighed:
+        one.contype = one.conaffinity = 0  # no hulls, which take seconds
+    whole = spec.copy()
+    whole.compiler.settotalmass = -1.0
     try:
-        model = spec.copy().compile()
+        model = whole.compile() if bare else whole
+        for body in bare:
+            body.explicitinertial = True
+            for name in ("mass", "ipos", "iquat", "inertia"):
+                setattr(body, name, getattr(model, f"body_{name}")[model.body(body.name).id])
     except (ValueError, mujoco.FatalError):
-        names = ", ".join(body.name for body in bodies)
-        notes.append(f"bodies {names}: no inertial, and MuJoCo cannot read their meshes; without the mass of these")
-        return
-    for body in bodies:
-        body.explicitinertial = True
-        for name in ("mass", "ipos", "iquat", "inertia"):
-            setattr(body, name, getattr(model, f"body_{name}")[body.id])
+        names = ", ".join(body.name for body in bare)
+        notes.append(f"bodies {names}: no inertial, and MuJoCo cannot read the meshes; without their mass")
+    _delete(spec, *weighed, *spec.meshes, *spec.hfields)
 
 
 def _delete(spec: Any, *elements: Any) -> None:  # noqa: ANN401

@@ -196,7 +196,7 @@ def measure_logs(data: ExcitationLog) -> Measurement:
 def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -> JointMetrics:
     half = None if law is None else law.estimate(WIDTH)
     effort = fit_effort(data, joint)
-    if effort and (effort.estimate(WIDTH).low or 0.0) <= 0.0:  # it shows none, or its sign is turned
+    if effort and max(effort.estimate(term).low or 0.0 for term in (WIDTH, LAG)) <= 0.0:  # none, or of a turned sign
         effort = None
     return JointMetrics(
         joint=data.arm.joint_names[joint],

@@ -191,10 +191,10 @@ def stuck(case: _Case) -> Found:
     why = ", has no power, or its reading is another joint's, turned round, or has another zero or scale"
     if case.row.torque_limit_nm is not None:
         why = f", and spent {case.row.saturated_share * 100:.0f} % of the excitation at its torque limit"
-    off = case.errors if case.errors.max() >= STUCK_ERROR else far  # it may rest where it has begun, or never
-    return (case.levers * off).mean(), (
+    resting = case.errors.max() >= STUCK_ERROR  # else it rests where it has begun, or never
+    return (case.levers * (case.errors if resting else far)).mean(), (
         f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it is too weak for its "
-        f"load or blocked{why}; this costs"
+        f"load or blocked{why}; this costs{'' if resting else ' up to'}"
     )
 
 

@@ -92,13 +92,17 @@ def _normalised_step(values: Array) -> float | None:
     return float(steps[np.argmax(shares)]) if shares.max() > ON and not rounded else None
 
 
+STILL = 1.0
+"""Range of a joint that stands, of 200; chosen: some encoder steps"""
+
+
 def calibrated_ranges(raw: Array, arm: Arm, path: Path) -> Array:
-    """Calibrated range (n,) [counts] of joints from normalised readings (T, n), of still ones the usual; FileError."""
+    """Calibrated range (n,) [counts] of joints by normalised readings (T, n), of `STILL` ones the usual; FileError."""
     counts = []
     for joint, name, usual in zip(raw.T, arm.joint_names, np.ptp([arm.lower, arm.upper], axis=0), strict=True):
-        step = 200.0 * 2 * np.pi / (usual * COUNTS_PER_TURN)
-        for own in readings(joint[:, None], 4):
-            step = _normalised_step(own)
+        step = next((_normalised_step(one) for one in readings(joint[:, None], 4)), None)
+        if np.ptp(joint) < STILL:
+            step = 200.0 * 2 * np.pi / (usual * COUNTS_PER_TURN)
         if step is None:
             raise FileError(
                 path,
@@ -500,7 +504,10 @@ class _GroupedColumns:
         raw = self._read(self._columns("position"))
         counts = calibrated_ranges(raw[np.isfinite(raw).all(axis=1)], self.arm, self.motion.path)
         told = ", ".join(f"{joint} {count:.0f}" for joint, count in zip(self.arm.joint_names, counts, strict=True))
-        self.notes.append(f"without a calibration the ranges follow from the steps of the encoders ({told} counts)")
+        self.notes.append(
+            f"without a calibration the ranges follow from the steps of the encoders, for still joints from "
+            f"the arm's limits ({told} counts)"
+        )
         self.extra[ZEROS] = _MIDDLES
         return counts * np.pi / COUNTS_PER_TURN
 

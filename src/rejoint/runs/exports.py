@@ -224,7 +224,7 @@ def design_of(run: Run, best: str) -> Design:
         taken = inner_name(rows[np.argmin(settled)].controller) if rows else POLICY
     policy = shelf_policy(arm) if taken == SHELF else run.policy if taken == POLICY else None
     if policy is None:
-        twin = run.twin
+        twin, taken = run.twin, name
         own = FeedforwardController(arm, None if twin is None else twin.parameters.stiffness)
         law = CommandLaw(anchor="goal", stiffness=tuple(own.stiffness[0].tolist()), envelope_margin=2.0 * np.pi)
         design = Design(arm=arm, law=law, network=None, name=name)

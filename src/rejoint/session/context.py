@@ -312,7 +312,7 @@ class ControllerMaker:
 
     def _factory(self, given: ControllerLike) -> Factory:
         if is_name(given):
-            return partial(self._by_name, given)
+            return partial(self.by_name, given)
         one = Policy.load(given) if isinstance(given, Path | str) else given
         if hasattr(one, "controller"):
             return one.controller
@@ -320,7 +320,8 @@ class ControllerMaker:
             return lambda _: cast(Controller, one)
         return one
 
-    def _by_name(self, name: str, arm: Arm) -> Controller:
+    def by_name(self, name: str, arm: Arm) -> Controller:
+        """Make a controller of the catalogue."""
         if name in RIVALS:
             return self._geared(name, arm)
         stiffness = None if self.twin is None else self.twin.parameters.stiffness
@@ -342,7 +343,7 @@ class ControllerMaker:
                 f"with: rejoint train {run.path}"
             )
         stiffer = None if self.twin is None else twin_under(self.twin, found.found, found.under)
-        inner = replace(self, twin=stiffer)._by_name(inner_name(name), arm)
+        inner = replace(self, twin=stiffer).by_name(inner_name(name), arm)
         return geared(inner, found.alone if name == GEARED else found.under)
 
 

@@ -325,10 +325,10 @@ FEWEST_OUT = 2
 """Motions held out; chosen: an interval takes two"""
 KEPT_END = 0.25
 """Share of a motion held out, halved until `MOSTLY` is left; chosen"""
-GRID, STEPS = 0.1, 20
+GRID, STEPS = 0.2, 10
 """[s] between samples of commands, and samples compared; chosen"""
 ALIKE = 0.25
-"""Distance of repeated commands over their own motion; chosen: half of `GRID` at constant speed is 0.09"""
+"""Distance of repeated commands over their own motion; chosen: half of `GRID` at constant speed is 0.17"""
 MOSTLY = 0.5
 """Share of a motion; chosen"""
 
@@ -386,7 +386,7 @@ def _ends(logs: Sequence[RunLog]) -> tuple[list[RunLog], list[RunLog]]:
             for log, same in zip(seen, repeated(seen, ends), strict=True)
             for a, b in free_runs(~same, log.time, SHORTEST_STRETCH)
         ]
-        told = max(end.duration for end in ends) > 1.5 * STEPS * GRID  # a shorter one hardly repeats anything
+        told = max(end.duration for end in ends) >= STEPS * GRID  # a shorter one cannot repeat anything
         if told and sum(map(len, fresh)) > MOSTLY * sum(map(len, logs)):
             seen = fresh
             break

@@ -165,7 +165,8 @@ class ComparisonJob:
             found = self._drive(ledger, on_progress, helper)
         except BaseException as error:
             if ledger.done:
-                error.add_note(f"What was tried is kept (runs: {len(ledger.done)}): the same command goes on.")
+                kept = f"What was tried is kept (runs: {len(ledger.done)}): the same command goes on"
+                error.add_note(f"{kept}, unless controllers of your own take part.")
             raise
         with saving(found):
             write_json(set_aside(run.folder.comparison), found.comparison)
@@ -246,15 +247,16 @@ class ComparisonJob:
         turns = self.trials.get("turns")
         turned = turns and [part.tolist() for part in (turns.rotation, turns.whole, turns.weight)]
         options = self.period, self.trials.get("correction"), self.before is None, turned
-        tried = [(name, _identity(name, make)) for name, make in self.factories.items()]
+        tried = [(name, _identity(make)) for name, make in self.factories.items()]
         about = setup_of(self.arm), self.settings, tried, self.targets.tolist(), files, options
         return digest(repr((__version__, address_of(self.robot), about)).encode())
 
 
-def _identity(name: str, make: Factory) -> str:
-    """Return what tells a controller from others of its ``name``; nothing tells an own object."""
-    if getattr(make, "args", None) == (name,):  # of the catalogue
-        return name
+def _identity(make: Factory) -> str:
+    """Return what tells a controller from others of its name; nothing tells an own object."""
+    named = getattr(make, "func", None)
+    if getattr(named, "__func__", None) is ControllerMaker.by_name:
+        return str(getattr(make, "args", ""))
     policy = getattr(make, "__self__", None)
     return digest(policy.content) if isinstance(policy, Policy) else token_hex()
 
