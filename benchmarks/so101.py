@@ -6,13 +6,14 @@
 
 import numpy as np
 
-from rejoint.arms import load_arm
+from rejoint.arms import choose_postures, load_arm
 from rejoint.control.comparison.protocols import metrics_of
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import shelf_controller
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.loop import Schedule, run
+from rejoint.control.reference import TargetSequence, with_ways
 from rejoint.control.servogains import search
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.excitation import record
@@ -32,9 +33,9 @@ def arms(count, first):
     return [f"{kind}?seed={first + i}" for kind in KINDS for i in range(count)]
 
 
-def robot(names, gains=None, seed=5, **options):
+def robot(names, gains=None, seed=5):
     """Emulated arms, each under its own ``gains``."""
-    found = EmulatedRobot(ARM, [load_wear(name, ARM) for name in names], seed=seed, **options)
+    found = EmulatedRobot(ARM, [load_wear(name, ARM) for name in names], seed=seed)
     for arm, own in enumerate(gains or ()):
         for name, values in own.items():
             found.plant.settings[name][arm] = values
@@ -47,22 +48,21 @@ def targets(count, each, seed):
 
 
 def held(arm, controller, points):
-    """Settled error [mm] and tremble [mm], both (B, K), and time [s] (B, K) to come and stay within 2 mm."""
-    recording = run(arm, controller, points, Schedule(dwell=PROTOCOL.hold, keep_going=True))
+    """Settled error [mm] and time [s] after the way, both (B, K), to come and stay within 2 mm."""
+    ways = [with_ways(ARM, choose_postures(ARM, own, ARM.rest, chained=True).q, ARM.rest) for own in points]
+    recording = run(
+        arm, controller, TargetSequence(ARM, points, ways=ways), Schedule(dwell=PROTOCOL.hold, keep_going=True)
+    )
     holds = metrics_of(ARM, recording, points, PROTOCOL)
-    return 1e3 * holds["settled"], 1e3 * holds["oscillation"], holds[PROTOCOL.stay_names[-1]]
+    return 1e3 * holds["settled"], holds[PROTOCOL.stay_names[-1]]
 
 
-def tell(label, found, count):
+def tell(label, found):
     """Print what came out, for each kind of arm."""
-    for place, kind in enumerate(KINDS):
-        rows = slice(place * count, (place + 1) * count)
-        settled, tremble, stay = (one[rows] for one in found)
-        far = f"{np.nanmean(settled):.3f} (p95 {np.nanpercentile(settled, 95):.2f})"
+    for kind, settled, stay in zip(KINDS, *(np.split(one, 2) for one in found), strict=True):
         print(
-            f"{label:22s} {kind:6s} settled {far}, within 2 mm after {np.median(stay):.2f}, trembles by "
-            f"{np.nanmean(tremble):.3f}; {np.isnan(settled).sum()} cut short",
-            flush=True,
+            f"{label:22s} {kind:6s} settled {np.nanmean(settled):.3f} (p95 {np.nanpercentile(settled, 95):.2f}), "
+            f"within 2 mm after {np.nanmedian(stay):.2f}; {np.isnan(settled).sum()} cut short"
         )
 
 
@@ -70,9 +70,7 @@ def shelf():
     names, points = arms(10, 100), targets(20, 4, 7)
     for p in (32, 16):
         for make in (DefaultController, IntegratorController, FeedforwardController, shelf_controller):
-            controller = make(ARM)
-            name = "shelf" if make is shelf_controller else controller.name
-            tell(f"P = {p}, {name}", held(robot(names, [{"p": p}] * len(names)), controller, points), 10)
+            tell(f"P = {p}, {make.__name__}", held(robot(names, [{"p": p}] * 20), make(ARM), points))
 
 
 def known():
@@ -95,7 +93,7 @@ def tuned():
                 "shelf": shelf_controller(ARM),
                 "predictive": PredictiveController.of(ARM, [believed], shelf_controller(ARM)),
             }.items():
-                settled, _, stay = held(robot([name], [gains], seed=50 + arm), controller, points[arm : arm + 1])
+                settled, stay = held(robot([name], [gains], seed=50 + arm), controller, points[arm : arm + 1])
                 rows.setdefault((label, under), []).append([np.nanmean(settled), np.median(stay)])
     for (label, under), found in rows.items():
         mean = np.mean(found, axis=0)
