@@ -288,6 +288,26 @@ def test_trials_with_another_load_or_other_boxes_are_not_gone_on_from(tmp_path):
     assert len({job.fingerprint(run) for job in jobs}) == len(arms)
 
 
+class Unfinished(DefaultController):
+    """Cannot command yet."""
+
+    def command(self, *_):
+        raise NotReadyError("not finished")
+
+
+def test_a_comparison_with_own_controllers_begins_anew_for_they_may_have_changed(tmp_path):
+    run, plan = Run.create(tmp_path, "emulated:worn", ARM), rejoint.TrialPlan(sets=1, repetitions=1, protocol=QUICK)
+
+    def driven(**own):
+        return rejoint.compare("emulated:worn", own, TWENTY[0, :2], run=run, plan=plan).comparison
+
+    with pytest.raises(NotReadyError):
+        driven(one=IntegratorController, two=Unfinished)
+    assert run.folder.trials.exists()
+    found = driven(one=DefaultController, two=DefaultController)
+    assert found.row("one").settled == found.row("two").settled, "nothing of the version before"
+
+
 def test_an_interrupted_comparison_in_blocks_goes_on_where_it_was(tmp_path):
     controllers, targets = dict.fromkeys(("integrator", "policy"), IntegratorController), TWENTY[:1]
     whole, order = in_blocks(controllers, targets)

@@ -10,6 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
 from secrets import token_hex
 from typing import Any, NamedTuple
 
@@ -47,6 +48,7 @@ from rejoint.session.context import (
 from rejoint.session.inputs import (
     ArmLike,
     Borrowed,
+    ControllerLike,
     Period,
     RobotLike,
     RunLike,
@@ -140,8 +142,8 @@ class ComparisonJob:
     before: OpenLoopTrials | None = None
     """the diagnosis's trials of the first set, if used"""
     observer: Observer = field(default_factory=Observer)
-    by_name: bool = False
-    """another process can make the controllers"""
+    given: dict[str, str] = field(default_factory=dict)
+    """what tells each given controller from others of its name"""
 
     def runner(self, factories: Mapping[str, Factory], opened: OpenRobot | None = None, **hooks: Any) -> TrialRunner:  # noqa: ANN401
         """Runner of the trials of some controllers; ``hooks`` are further fields of it."""
@@ -222,7 +224,8 @@ class ComparisonJob:
     def begin_ahead(self) -> HelperProcess | None:
         """Start a second process with the trials, if they are worth one and a core is free."""
         size = self.targets[..., 0].size * self.settings.repetitions * len(self.factories)
-        plain = self.by_name and isinstance(self.robot, str) and not self.observer.shows
+        by_name = all(told == name for name, told in self.given.items())  # another process can make them
+        plain = by_name and isinstance(self.robot, str) and not self.observer.shows
         spare = os.name == "posix" and free_cores() > 1
         if not (plain and self.settings.batched and size >= LEAST and spare):
             return None
@@ -247,17 +250,16 @@ class ComparisonJob:
         turns = self.trials.get("turns")
         turned = turns and [part.tolist() for part in (turns.rotation, turns.whole, turns.weight)]
         options = self.period, self.trials.get("correction"), self.before is None, turned
-        tried = [(name, _identity(make)) for name, make in self.factories.items()]
+        tried = list(self.factories), self.given
         about = setup_of(self.arm), self.settings, tried, self.targets.tolist(), files, options
         return digest(repr((__version__, address_of(self.robot), about)).encode())
 
 
-def _identity(make: Factory) -> str:
+def _identity(given: ControllerLike) -> str:
     """Return what tells a controller from others of its name; nothing tells an own object."""
-    named = getattr(make, "func", None)
-    if getattr(named, "__func__", None) is ControllerMaker.by_name:
-        return str(getattr(make, "args", ""))
-    policy = getattr(make, "__self__", None)
+    if is_name(given):
+        return given
+    policy = Policy.load(given) if isinstance(given, Path | str) else given
     return digest(policy.content) if isinstance(policy, Policy) else token_hex()
 
 
@@ -408,7 +410,7 @@ def comparison_job(
             "model": model,
         },
         observer=session.observer,
-        by_name=all(is_name(one) and one == name for name, one in named(controllers).items()),
+        given={name: _identity(one) for name, one in named(controllers).items()},
         before=before,
     )
 
