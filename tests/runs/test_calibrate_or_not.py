@@ -10,9 +10,11 @@ import pytest
 
 import rejoint
 from hearing import Hears
+from rejoint.arms import mycobot280
 from rejoint.cli.console import Terminal
 from rejoint.cli.upkeep import gauge_by_word
 from rejoint.diagnosis.calibration.procedure import Stop, TouchGauge, TrackerGauge
+from rejoint.logs.runfolder import RunFolder
 from rejoint.runs import repair as chain
 from rejoint.system.errors import InputError
 from rejoint.system.stopping import Interrupted, noted
@@ -86,3 +88,10 @@ def test_a_repair_calibrates_where_something_measures(tmp_path, monkeypatch, rob
     assert done["compare"].calibration == corrected
     if calibrated:
         assert done["calibrate"]["gauge"] is gauge
+
+
+@pytest.mark.parametrize(("controllers", "trained"), [((), True), (["policy"], True), ("integrator", False)])
+def test_a_repair_trains_a_policy_where_one_is_compared(tmp_path, controllers, trained):
+    plan = rejoint.RepairPlan(controllers=controllers)
+    stages = chain.stages_of("emulated:worn", mycobot280(), RunFolder(tmp_path), plan)
+    assert ("train" in stages) is trained

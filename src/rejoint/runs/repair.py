@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Literal, get_args
 from rejoint.arms import Arm
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.comparison.result import Protocol
+from rejoint.control.controllers.catalogue import POLICY
 from rejoint.control.recording import Observer, StageObserver
-from rejoint.control.servogains import RIVALS
+from rejoint.control.servogains import GEARED_POLICY, RIVALS
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder, StageCost, add
 from rejoint.robots import place_of
@@ -86,9 +87,12 @@ def stages_of(
     found = {name: getattr(files, file) for name, file in zip(STAGES, _FILES, strict=True)}
     if what.gauge == NO_GAUGE or (what.gauge is None and not is_batchable(robot)):
         del found["calibrate"]
-    rivals = not what.controllers and not quick
-    if not (_is_tunable(robot, arm) and (rivals or any(one in RIVALS for one in named(what.controllers).values()))):
+    asked = named(what.controllers).values()
+    rivals = any(one in RIVALS for one in asked) if asked else not quick
+    if not (rivals and _is_tunable(robot, arm)):
         del found["gains"]
+    if asked and not any(one in (POLICY, GEARED_POLICY) for one in asked):
+        del found["train"]
     return found
 
 
