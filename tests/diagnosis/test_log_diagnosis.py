@@ -271,6 +271,25 @@ def test_a_frozen_joint_costs_what_its_motion_misses_though_it_rests_where_it_is
     assert max(one.tcp_mm for one in found if one.kind == "stuck") > 10.0
 
 
+def test_a_command_beyond_the_end_of_a_joint_is_no_error():
+    time = np.arange(0.0, 40.0, 0.02)
+    command = np.outer(np.sin(0.5 * time).clip(-0.3, 0.3), np.ones(ARM.joints)) + ARM.lower
+    log = as_log("end", time, command.clip(ARM.lower), command)
+    found = diagnose_logs(ARM, [log], None)
+    assert found.evidence.rest_error_mm.value < 0.1
+    short = as_log("short", time, command.clip(ARM.lower + 0.1), command)
+    assert diagnose_logs(ARM, [short], None).evidence.rest_error_mm.value > 10.0
+
+
+def test_a_slow_joint_that_still_turns_round_is_not_stuck():
+    time = np.arange(0.0, 60.0, 1 / 15)
+    rates = np.array([1.1, 2.3, 3.1])
+    command = np.outer(0.6 * np.sin(np.outer(time, rates)).sum(axis=1), np.ones(ARM.joints))
+    late = 0.6 * np.sin(np.outer(time, rates) - 2.0 * np.arctan(rates / 4.0)) / (1.0 + (rates / 4.0) ** 2)
+    log = as_log("slow", time, np.outer(late.sum(axis=1), np.ones(ARM.joints)), command)
+    assert "stuck" not in {one.kind for one in diagnose_logs(ARM, [log], None).findings}
+
+
 def test_current_tells_friction_where_nobody_recorded_commands():
     log = states_with_current(np.full(ARM.joints, 0.4), 0.0)
     with pytest.raises(InputError, match="hold no commands"):

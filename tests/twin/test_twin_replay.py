@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from motion_logs import ARM, PERIOD, TRUTH, as_log, wandering
 
-from rejoint.arms import gravity_torque
-from rejoint.twin.judge import Candidate, predict_logs
 from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.replay import Replay, cut
 from twinmodel import predict
@@ -36,12 +34,3 @@ def test_twins_that_differ_in_their_delay_alone_are_replayed_as_each_by_itself()
     twins = [replace(TRUTH, delay=delay) for delay in np.linspace(0.0, 0.03, 9)]
     together = Replay(ARM, cut([log], 100.0), 0.01).predict(TwinParameters.stacked(twins))
     np.testing.assert_array_equal(together, [predict(ARM, twin, log, 0.01) for twin in twins])
-
-
-def test_a_joint_that_rests_beyond_its_friction_rests_in_a_prediction_too():
-    still, slack = np.tile(ARM.rest, (200, 1)), 1.5 * TRUTH.stiction * TRUTH.coulomb / TRUTH.stiffness
-    held = gravity_torque(ARM, still) / TRUTH.stiffness - TRUTH.offset
-    log = as_log("rest", PERIOD * np.arange(200), still, still + held + slack)
-    found = predict_logs(ARM, [Candidate(name="truth", parameters=TRUTH)], [log])[0]["truth"]
-    np.testing.assert_allclose(found, still, atol=1e-4)
-    assert (predict(ARM, TRUTH, log, PERIOD / 2) - still > 0.1 * slack)[-1].all()

@@ -63,7 +63,7 @@ def test_a_log_without_torque_at_its_end_is_cut_there_and_keeps_its_name(declare
     gain = np.where(np.arange(200) < 150, 100.0, 100.0 if declared else 0.0)[:, None]
     one = log("drop", gain)
     one = replace(one, extra={TORQUE_OFF: "2.99-9"}) if declared else one
-    (kept,) = powered([one])
+    (kept,) = powered(ARM, [one])
     assert (kept.label, len(kept)) == ("drop", 150)
     limp = np.where(np.arange(200)[:, None] < 150, one.position, 9.0 * np.sin(5.0 * one.time)[:, None])
     assert unpowered_joints(replace(one, position=limp)) == ()

@@ -166,7 +166,7 @@ def diagnose_logs(
     for log in logs:
         log.require(arm)
     refuse_copies(logs, "diagnosis")
-    logs = powered(logs)
+    logs = powered(arm, logs)
     bare = states_alone(logs, "diagnosis")
     if any(log.torque is None and log.current is None for log in logs):
         require_commands(logs, "diagnosis")

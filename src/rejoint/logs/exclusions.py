@@ -167,10 +167,13 @@ def _silent(logs: Sequence[RunLog], alike: float = UNRELATED) -> Mask:
     return (asked >= ASKED) & ((moved < ANSWERED * asked) | (answer < alike))
 
 
-def powered(logs: Sequence[RunLog]) -> list[RunLog]:
-    """Cut logs at rows without torque, and declare joints that never answer; InputError where nothing is left."""
+def powered(arm: Arm, logs: Sequence[RunLog]) -> list[RunLog]:
+    """Cut logs at rows without torque, declare joints that never answer, and end commands where the arm ends.
+
+    InputError where nothing is left.
+    """
     found = []
-    for log in logs:
+    for log in _within_ends(arm, logs):
         extra = {key: value for key, value in log.extra.items() if key != TORQUE_OFF}
         edges = np.flatnonzero(np.diff(_off(log), prepend=True, append=True)).reshape(-1, 2).tolist()
         pieces = [log.rows(slice(a, b)) for a, b in edges if b - a > 2]
@@ -186,6 +189,13 @@ def powered(logs: Sequence[RunLog]) -> list[RunLog]:
         return found
     known = [",".join([*names, log.extra.get(UNPOWERED, "")]) for log in found]
     return [replace(log, extra=log.extra | {UNPOWERED: one}) for log, one in zip(found, known, strict=True)]
+
+
+def _within_ends(arm: Arm, logs: Sequence[RunLog]) -> list[RunLog]:
+    """Hold commands within limits and what was reached, as firmware or a stop does; not where zeros are unknown."""
+    reached = np.concatenate([log.position for log in logs])
+    low, high = np.minimum(arm.lower, reached.min(axis=0)), np.maximum(arm.upper, reached.max(axis=0))
+    return [log if ZEROS in log.extra else replace(log, command=log.command.clip(low, high)) for log in logs]
 
 
 def _off(log: RunLog) -> Mask:

@@ -275,7 +275,7 @@ def identify_logs(
     """
     for log in logs:
         log.require(arm)
-    logs = [answered(log) for log in powered(logs)]
+    logs = [answered(log) for log in powered(arm, logs)]
     gain = recorded_gain([log for log in logs if GAIN not in log.extra])
     seen, unseen = part(arm, logs, settings.hold_out, settings.seed)  # each twin replays these at its own gain
     motions = Motions(arm, at_gain(seen, gain), settings, table_height(arm, seen))

@@ -98,7 +98,7 @@ def _path(arm: Arm, candidate: Candidate, log: RunLog) -> Array:
     tables = [] if candidate.table is None else [candidate.table]
     (log,) = at_gain([log], candidate.gain)
     replay = Replay(arm, [Window(log=log, first=0, last=len(log))], TIMESTEP, candidate.acceleration)
-    return replay.predict(candidate.parameters.repeat(1), tables, resting=True)[0]
+    return replay.predict(candidate.parameters.repeat(1), tables)[0]
 
 
 def _motion(arm: Arm, rows: Exclusions, paths: dict[str, Array]) -> MotionErrors:

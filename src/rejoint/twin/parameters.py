@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
+from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask
 from rejoint.arms.workspace import largest_loads, least_load, length_size
 from rejoint.control.robot import Servos
 from rejoint.system.records import entity, value_type
@@ -347,18 +347,6 @@ def dry_friction(terms: Array, speed: Array, load: Array | float) -> Array:
     """
     coulomb, load_friction, stiction = terms[0], terms[1], terms[2]
     return (coulomb + load_friction * load) * (1.0 + (stiction - 1.0) * np.exp(-((speed / STRIBECK_SPEED) ** 2)))
-
-
-def held_stiction(arm: Arm, twin: TwinParameters, position: Array, reference: Array) -> Array:
-    """Return the stiction (..., n), or what holds joints at a ``position`` (..., n) [rad] if that is more.
-
-    Within its bound.
-    """
-    driving, gravity = twin.stiffness * (reference + twin.offset - position), gravity_torque(arm, position)
-    driving = np.clip(driving, -twin.torque_limit, twin.torque_limit)
-    at_rest = dry_friction(friction_terms(twin), np.zeros(()), 0.5 * np.abs(driving + gravity))
-    held = twin.stiction * np.abs(driving - gravity) / at_rest
-    return np.clip(held, twin.stiction, PARAMETERS[number("stiction")].upper)
 
 
 def back_emf(arm: Arm, twin: TwinParameters) -> Array:

@@ -25,15 +25,12 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import interpolated
 from rejoint.system.records import value_type
-from rejoint.twin.parameters import TIMESTEP, TwinParameters, held_stiction
+from rejoint.twin.parameters import TIMESTEP, TwinParameters
 from rejoint.twin.simulation import ChainBatch, Draw
 
 if TYPE_CHECKING:
     from rejoint.twin.table import TableBatch
     from rejoint.twin.twin import TablePlane
-
-RESTED, FLICKER = 1.0, 1.5
-"""[s] of rest, and encoder steps by which its reading changes; chosen"""
 
 PARTS = 6
 """Instants of a step whose mean reference counts; chosen"""
@@ -139,32 +136,18 @@ class Replay:
         return np.stack([of_logs[w.log][:, w.first] for w in self.windows], axis=1)
 
     @cached_property
-    def _resting(self) -> Mask:
-        """(windows, n) joints that first stand still under an unchanged command."""
-        both = self._rows(lambda log: np.stack([log.position, log.command], axis=1))  # (rows, 2, n)
-        first = [both[(self.window == w) & (self.time < RESTED)] for w in range(len(self.windows))]
-        return np.array([(np.ptp(rows, axis=0) < FLICKER * self.arm.encoder_step).all(axis=0) for rows in first])
-
-    @cached_property
     def _grid(self) -> Array:
         """Times (steps,) [s] of the simulation steps."""
         longest = durations(self.windows).max()
         return np.arange(np.ceil(longest / self.timestep) + 1) * self.timestep
 
-    def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = (), *, resting: bool = False) -> Array:
-        """Positions (m, rows, n) [rad] of twins (m,) in all windows, with m ``tables``.
-
-        ``resting``: joints at rest at the start have at least the static friction that holds them there. It differs
-        from rest to rest; in a fit it would explain friction away.
-        """
+    def predict(self, parameters: TwinParameters, tables: Sequence[TablePlane] = ()) -> Array:
+        """Positions (m, rows, n) [rad] of twins (m,) in all windows, with m ``tables``."""
         m, count = parameters.shape[0], len(self.windows)
         which = np.tile(np.arange(m), count)  # simulation = window * m + twin
         start, velocity, gain = np.repeat(self._start, m, axis=1)
         arms = parameters[which]
         arms, control = replace(arms, stiffness=arms.stiffness * gain), self._control(parameters)
-        if resting:
-            held = held_stiction(self.arm, arms, start, control[:, 0])
-            arms = replace(arms, stiction=np.where(np.repeat(self._resting, m, axis=0), held, arms.stiction))
         twins: ChainBatch | TableBatch
         if tables:
             from rejoint.twin.table import TableBatch  # late: free arms need no MuJoCo

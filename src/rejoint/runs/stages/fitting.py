@@ -217,7 +217,7 @@ def replay(
 
     chosen = arm_of_twin(twin, arm)
     known = as_twin(twin, chosen)
-    motions = list(map(answered, powered(as_logs(logs))))
+    motions = list(map(answered, powered(chosen, as_logs(logs))))
     require_commands(motions, "replay")
     page = None
     paths = predict_logs(chosen, [Candidate.of(TWIN, known), *beside], motions)
