@@ -395,7 +395,7 @@ def followed(data: ExcitationLog, joint: int) -> float | None:
 
 def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
     """[rad] distance that law and friction leave while, for `SETTLED_LAST`, the joint comes no nearer."""
-    _, width, _, softness, offset, _ = np.zeros(6) if law is None else law.coefficients
+    lag, width, _, softness, offset, _ = np.zeros(6) if law is None else law.coefficients
     rows = np.concatenate([data.rows(one) for one in data.of_kind(FREE)])
     time, command, position = (
         data.log.time[rows],
@@ -407,7 +407,7 @@ def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
     runs = free_runs(nearing < AT_REST, time, SETTLED_LAST)
     left = (joint_speed(time, command) >= AT_REST) | (np.diff(time, prepend=time[:1]) > QUIET)
     runs = [(a, b) for a, b in runs if np.append(left, True)[b]]  # before, the joint may be on its way
-    count = max(round(SETTLED_LAST / data.log.period), 1)
+    count = max(round((SETTLED_LAST + 2.0 * max(lag, 0.0)) / data.log.period), 1)  # a joint needs its lag to turn round
     stood = [sliding_window_view(np.abs(error[a:b]), min(count, b - a)).min(axis=-1).max() for a, b in runs]
     return max(max(stood, default=0.0) - width, 0.0)
 
