@@ -21,6 +21,10 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
 
+POINT = 1e-3
+"""[m] from the resting TCP to the sides of a box that is no region (chosen)"""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:
     """An axis-aligned region in the base frame."""
@@ -35,6 +39,11 @@ class Box:
         ends = np.append(self.lower, self.upper)
         if ends.size != 6 or np.abs(ends).max() > FARTHEST_PLACE or (self.lower >= self.upper).any():
             raise InputError(f"a box needs lower < upper on three axes, in metres, got {self.lower}, {self.upper}")
+
+    @property
+    def is_point(self) -> bool:
+        """Whether it is the place of an arm without a region."""
+        return bool((self.upper - self.lower).max() < 3.0 * POINT)
 
     def sample(self, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Array:
         """Draw points uniformly, ``(*shape, 3)`` [m]."""

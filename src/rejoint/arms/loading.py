@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeAlias
 import msgspec
 import numpy as np
 
-from rejoint.arms.arm import MODELS, UNKNOWN, Arm, Array, Box, Loaded, Mask, described, dh_chain
+from rejoint.arms.arm import MODELS, POINT, UNKNOWN, Arm, Array, Box, Loaded, Mask, described, dh_chain
 from rejoint.arms.inertia import inertia_matrix, inertia_values, plausible
 from rejoint.arms.kinematics import Displacement, tcp_position
 from rejoint.arms.modelfile import Places, cut, read_tree
@@ -76,6 +76,8 @@ class _JointTable(_FrameTable, kw_only=True):
             raise ValueError("a joint with a DH row has no other frame")
         if self.axis and np.linalg.norm(self.axis) < 1e-6:
             raise ValueError("an axis needs a direction, found zero")
+        if math.isnan(self.lower_deg) != math.isnan(self.upper_deg) or self.lower_deg >= self.upper_deg:
+            raise ValueError("lower_deg and upper_deg go together, the lower one first")
         if self.mass_kg == 0.0 and (any(self.com_m) or not math.isnan(self.inertia_kg_m2[0])):
             raise ValueError("com_m and inertia_kg_m2 need mass_kg beside them")
 
@@ -118,8 +120,8 @@ def read_draft(path: Path) -> Loaded:
         offset=offset,
         axis=axis,
         tip=end @ found.tip.pose,
-        lower=np.where(low < high, low, np.nan),
-        upper=np.where(low < high, high, np.nan),
+        lower=low,
+        upper=high,
         max_speed=np.radians([joint.max_speed_deg_s for joint in joints]),
         mass=np.array([joint.mass_kg for joint in joints]),
         com=np.array([joint.com_m for joint in joints]),
@@ -136,14 +138,13 @@ def read_draft(path: Path) -> Loaded:
 
 
 def _table(arm: Arm) -> dict[str, Any]:
-    region = np.ptp([arm.targets.lower, arm.targets.upper], axis=0).max() > 3 * POINT
     return {
         "name": arm.name,
         "floor_m": arm.floor,
         "encoder_counts_per_turn": 2 * np.pi / arm.encoder_step,
         "servo_acceleration_rad_s2": arm.servo_acceleration if np.isfinite(arm.servo_acceleration) else None,
         "rest_deg": np.degrees(arm.rest),
-        "targets": _bounds(arm.targets) if region else None,
+        "targets": None if arm.targets.is_point else _bounds(arm.targets),
         "keep_out": [_bounds(box) for box in arm.keep_out] or None,
         "tip": _frame(arm.tip),
         "joint": [
@@ -245,9 +246,6 @@ FASTEST = 10 * 2 * np.pi
 
 LONGEST = 30.0
 """[m] larger reaches are refused (chosen)"""
-
-POINT = 1e-3
-"""[m] region around the resting TCP (chosen)"""
 
 FLOOR_RATIO = 0.04
 """over the reach (chosen)"""

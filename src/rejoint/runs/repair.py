@@ -184,7 +184,7 @@ def repair(
         from rejoint.training.task import load_preset  # late: a process that only moves arms trains nothing
 
         load_preset(what.preset)
-    posed = what.targets is not None and as_targets(what.targets, built, sets=1, seed=0)[1] is not None
+    posed = as_targets(what.targets, built, sets=1, seed=0)[1] is not None
     tunable = _is_tunable(robot, built)
     maker = ControllerMaker(built, period_of(robot, chosen.period))
     maker.require_possible(what.controllers, tunable=tunable, posed=posed)
