@@ -256,11 +256,13 @@ class ControllerMaker:
         """
         run, lacks = self.run, "without a run"
         if run is not None:
-            if (comparison := run.comparison) is not None:
-                return recommend(comparison).controller, f"{run.path} recommends it"
+            best = None if (comparison := run.comparison) is None else recommend(comparison).controller
+            if best in (*CONTROLLERS, *RIVALS):
+                return best, f"{run.path} recommends it"
             if self.policy_file is not None:
                 own = GEARED_POLICY if self.trained_for_tuned else POLICY
-                return own, f"the policy of {run.path}, which has no comparison yet"
+                why = "has no comparison yet" if best is None else f"recommends {best}, which only a program has"
+                return own, f"the policy of {run.path}, which {why}"
             lacks = f"{run.path} has no policy yet"
         if self.suits_shelf:
             return SHELF, f"the policy that comes with rejoint; {lacks}"
