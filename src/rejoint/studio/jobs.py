@@ -305,7 +305,9 @@ def export(studio: Studio, kind: str, lerobot: str) -> None:
 
 def check_again(studio: Studio) -> None:
     """See whether the arm has become worse."""
-    found = studio.call(rejoint.check, history=studio.home)
+    name = studio.status.name
+    tolerance = (one := named_arm(name)) and one.tolerance_mm
+    found = studio.call(rejoint.check, history=studio.home, name=name or None, tolerance_mm=tolerance)
     studio.change(done=f"{found.arm}: {found.line}")
     history(studio)
 
