@@ -194,10 +194,11 @@ def measure_logs(data: ExcitationLog) -> Measurement:
 
 
 def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -> JointMetrics:
-    half = None if law is None else law.estimate(WIDTH)
+    half = None if law is None else _friction(law.estimate(WIDTH))
     effort = fit_effort(data, joint)
-    if effort and max(effort.estimate(term).low or 0.0 for term in (WIDTH, LAG)) <= 0.0:  # none, or of a turned sign
-        effort = None
+    dry, viscous = (_friction(effort.estimate(term)) if effort else None for term in (WIDTH, LAG))
+    if not (dry and viscous and (dry.low or viscous.low)):  # none, or of a turned sign
+        dry = viscous = None
     return JointMetrics(
         joint=data.arm.joint_names[joint],
         stiffness_nm_per_rad=k,
@@ -211,10 +212,17 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -
         else None,
         sweep_gain=metrics.followed(data, joint),
         stuck_rad=metrics.farthest_off(data, joint, law),
-        coulomb_effort=None if effort is None else effort.estimate(WIDTH),
-        viscous_effort=None if effort is None else effort.estimate(LAG),
+        coulomb_effort=dry,
+        viscous_effort=viscous,
         offset_rad=None if law is None or ZEROS in data.log.extra else scaled(law.estimate(OFFSET), -1.0),
     )
+
+
+def _friction(found: Estimate) -> Estimate | None:
+    """Return a friction without what is below zero; None if nothing is left."""
+    if found.high is not None and found.high <= 0.0:
+        return None
+    return Estimate(max(found.value, 0.0), max(found.low or 0.0, 0.0), found.high)
 
 
 def _stiffness(

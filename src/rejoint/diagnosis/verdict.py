@@ -212,7 +212,7 @@ def friction(case: _Case) -> Found:
     """Report a joint that is hard to move."""
     if not case.beyond("coulomb_nm") or not case.moves or case.hunts:
         return None
-    half = max(case.value("hysteresis_rad"), 0.0) / 2
+    half = case.value("hysteresis_rad") / 2
     return case.lever * half, f"is stiff to turn: it stops up to {np.degrees(half):.2f} deg short on either side,"
 
 
@@ -244,7 +244,7 @@ def torque_limit(case: _Case) -> Found:
     """Report a motor at its limit that does not follow."""
     if case.row.torque_limit_nm is None:  # which no joint of unknown stiffness has
         return None
-    explained = case.loads / case.value("stiffness_nm_per_rad") + max(case.value("hysteresis_rad"), 0.0) / 2
+    explained = case.loads / case.value("stiffness_nm_per_rad") + np.nan_to_num(case.value("hysteresis_rad")) / 2
     return (case.levers * np.maximum(case.errors - explained, 0.0)).mean(), (
         f"runs out of torque: it spent {case.row.saturated_share * 100:.0f} % of the excitation at its limit; at its "
         "targets this costs"
