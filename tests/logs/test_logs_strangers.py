@@ -41,12 +41,12 @@ def test_a_long_pause_parts_a_recording(tmp_path):
     np.testing.assert_array_equal(np.concatenate([log.command for log in found.logs]), FOUND.command)
 
 
-def test_holes_close_together_and_single_readings_that_jump_are_left_out(tmp_path):
+def test_holes_close_together_and_readings_that_jump_out_and_back_are_left_out(tmp_path):
     position = FOUND.position.copy()
     position[[100, 110], 1] = np.nan
-    position[200, 2] += 0.5
+    position[200:212, 2] += 1.0
     source = write_table(tmp_path / "day.csv", replace(FOUND, position=position))
-    assert [len(log) for log in import_logs(source, ARM, out=tmp_path / "logs").logs] == [ROWS - 3]
+    assert [len(log) for log in import_logs(source, ARM, out=tmp_path / "logs").logs] == [ROWS - 14]
 
 
 def test_a_late_stamp_in_fast_motion_is_no_damage():

@@ -276,6 +276,8 @@ SPIKE = 0.05
 """[rad] of a reading off its neighbours"""
 SPIKED = 0.2
 """largest share of such readings"""
+MISREAD = 16
+"""rows in which a bus may fail"""
 SHARPEST = 400.0
 """[rad/s^2] ten times an SO-101's limit"""
 TOO_FAST, SPEED_ROWS = 4.0, 5
@@ -289,20 +291,27 @@ LIMIT_MARGIN = 0.35
 
 
 def without_spikes(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]]:
-    """Leave out single readings that no joint could reach and leave; remarks say so, or doubt all."""
-    value, took = (np.pad(one, ((1, 1), (0, 0)), mode="edge") for one in (motion.position, motion.time[:, None]))
-    out = np.abs(2 * value[1:-1] - value[2:] - value[:-2]) / 2
-    back = (out > SPIKE) & (np.abs(value[2:] - value[:-2]) < 0.5 * out)
-    impossible = back & (out > SPIKE + SHARPEST / 16 * (took[2:] - took[:-2]) ** 2)
-    rows = np.asarray(impossible.any(axis=1))
-    many = len(motion) > 4 * SPEED_ROWS and (rows.mean() > LOST or back.mean() > SPIKED)
-    if not many and not rows.any():
-        return motion, []
-    row, joint = _largest(out * back)
-    said = f"by up to {out[row, joint]:.3g} rad, in {motion.where(row)}, {motion.columns[joint]}"
-    if many:
-        said = f"state: in {100 * back.any(axis=1).mean():.0f} % of the samples joints jump out and back, {said}"
+    """Leave out readings that no joint could reach and leave; remarks say so, or doubt all."""
+    value, rows, worst, turns = motion.position, np.zeros(len(motion), dtype=bool), (0.0, 0, 0), 0.0
+    step, most = np.abs(np.diff(value, axis=0)), SPIKE + SHARPEST / 4 * np.diff(motion.time)[:, None] ** 2
+    around = np.pad(step, ((1, 1), (0, 0)))
+    alone = (step > most) & (np.maximum(around[2:], around[:-2]) < 0.5 * step)  # no swift motion
+    for count in range(1, min(MISREAD, len(step) - 1) + 1):
+        out = np.minimum(step[:-count], step[count:])
+        back = np.abs(value[count + 1 :] - value[: -count - 1]) < 0.5 * out
+        if count == 1:
+            turns = (back & (out > SPIKE)).mean()
+        back &= (out > np.minimum(most[:-1], most[1:])) if count == 1 else alone[:-count] & alone[count:]
+        for row in np.flatnonzero(back.any(axis=1)).tolist():
+            joint = int(np.argmax(out[row] * back[row]))
+            rows[row + 1 : row + 1 + count], worst = True, max(worst, (float(out[row, joint]), row + 1, joint))
+    if len(motion) > 4 * SPEED_ROWS and (rows.mean() > LOST or turns > SPIKED):
+        said = f"state: in {100 * max(rows.mean(), turns):.0f} % of the samples joints jump out and back"
         return motion, [(f"{said}: as if two arms took turns", "give each arm a file of its own, or mend the values")]
+    if not rows.any():
+        return motion, []
+    far, row, joint = worst
+    said = f"by up to {far:.3g} rad, in {motion.where(row)}, {motion.columns[joint]}"
     return motion.take(~rows), [(f"state: {rows.sum()} sample(s) left out that jump out and back, {said}", "")]
 
 
