@@ -263,7 +263,7 @@ POINTS = ("target", "true_tcp")
 _TITLES, _RECORDERS = NAMES["titles"], NAMES["recorders"]
 """Beginnings of titles by group; units of groups that recorders imply"""
 _PREFIXES = sorted(((one, group) for group, ones in _TITLES.items() for one in ones), key=lambda p: -len(p[0]))
-_EVERY = re.compile(r"\bJOINT(_deg|_rad)?$")
+_EVERY = re.compile(rf"\bJOINT(_({'|'.join(unit for known in UNITS.values() for unit in known if unit.isalpha())}))?$")
 """A meaning that stands for every joint"""
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 

@@ -173,7 +173,7 @@ def _columns(held: Mapping[str, Any]) -> dict[str, Array]:
 
 _KINDS = {".npz": _archive, ".json": _records, ".jsonl": _records}
 _INFO = "meta/info.json"
-_GROUPS = {"observation.state": "position", "action": "command"}
+_GROUPS = {"position": ("observation.state", "state"), "command": ("action", "actions")}
 _SCALARS = ("frame_index", "timestamp", "episode_index")
 _TOLERANCE = 1e-4
 """[s] ``tolerance_s`` of LeRobotDataset"""
@@ -191,17 +191,29 @@ def _episodes(source: Path, options: ImportOptions) -> Iterator[RawMotion]:
             )
         if not 0 < fps < np.inf:
             raise FileError(path, f"fps is {fps}", _REMEDY)
-        names = {key: _names(data["features"][key], options, path, key) for key in _GROUPS}
+        features = data["features"]
+        keys = [one for ones in _GROUPS.values() for one in ones if one in features]
+        if len(keys) != len(_GROUPS):
+            expected = " and ".join(" or ".join(ones) for ones in _GROUPS.values())
+            raise FileError(
+                path, f"features {', '.join(features)}, expected {expected}", "rename them, here and in data"
+            )
+        names = [_names(features[key], options, path, key) for key in keys]
     if options.angle_unit is None:
-        said = f"a LeRobot dataset does not say the unit of {' and '.join(_GROUPS)}"
+        said = f"a LeRobot dataset does not say the unit of {' and '.join(keys)}"
         remedy = "set --angle-unit: deg or rad, or normalised, with the calibration file where you have it"
         raise FileError(path, said, remedy)
-    held = _read_frames(source)
+    held, left_out = _read_frames(source, keys)
     index, stamps, episodes = (held.pop(key)[:, 0] for key in _SCALARS)
     if len(index) != frames:
-        raise FileError(source, f"{len(index)} frames in data, but {_INFO} promises {frames}", _REMEDY)
+        said = "; ".join([f"{len(index)} frames in data, but {_INFO} promises {frames}", *left_out])
+        raise FileError(source, said, _REMEDY)
     with reading(source, "frames of another width than its names", _REMEDY):
-        columns = {title: one for key in names for title, one in zip(names[key], held[key].T, strict=True)}
+        columns = {
+            f"{group}.{name}": one
+            for group, known, key in zip(_GROUPS, names, keys, strict=True)
+            for name, one in zip(known, held[key].T, strict=True)
+        }
     for number in np.unique(episodes).astype(int).tolist():
         rows = np.flatnonzero(episodes == number)
         rows = rows[np.argsort(index[rows], kind="stable")]
@@ -217,7 +229,7 @@ def _episodes(source: Path, options: ImportOptions) -> Iterator[RawMotion]:
             number=rows + 1,
             place=f"{name}, row",
             found="a LeRobot dataset",
-            notes=[note],
+            notes=[note, *left_out],
         )
 
 
@@ -229,21 +241,26 @@ def _names(feature: dict[str, object], options: ImportOptions, path: Path, key: 
         held = options.names
     if not held or shape != [len({*map(str, held)})]:
         raise FileError(path, f"{key} has the shape {shape} and the names {held}", "name all columns with --order")
-    return [f"{_GROUPS[key]}.{name}" for name in held]
+    return [str(name) for name in held]
 
 
-def _read_frames(source: Path) -> dict[str, Array]:
-    """State, action and scalars (T, k) of all frames."""
+def _read_frames(source: Path, features: Sequence[str]) -> tuple[dict[str, Array], list[str]]:
+    """State, action and scalars (T, k) of all frames, and which files hold others."""
     files = sorted((source / "data").glob("*/*.parquet"))
     if not files:
         raise FileError(source / "data", "no Parquet file in it", _REMEDY)
-    keys, found = [*_GROUPS, *_SCALARS], []
+    keys, found, left_out = [*features, *_SCALARS], [], list[str]()
     for file in files:
-        with reading(file, "not the frames of a dataset", _REMEDY):
-            table = read_parquet(file, _REMEDY, keys)
-            found.append([np.array(table[key].to_pylist(), dtype=float).reshape(len(table), -1) for key in keys])
+        try:
+            with reading(file, "not the frames of a dataset", _REMEDY):
+                table = read_parquet(file, _REMEDY, keys)
+                found.append([np.array(table[key].to_pylist(), dtype=float).reshape(len(table), -1) for key in keys])
+        except FileError as error:
+            left_out.append(f"left out: {error}")
+    if not found:
+        raise FileError(source, left_out[0], _REMEDY)
     with reading(source, "files of different width", _REMEDY):
-        return {key: np.concatenate(parts) for key, parts in zip(keys, zip(*found, strict=True), strict=True)}
+        return {key: np.concatenate(parts) for key, parts in zip(keys, zip(*found, strict=True), strict=True)}, left_out
 
 
 NANOSECONDS = 1_000_000_000
