@@ -15,6 +15,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, tcp_position
 from rejoint.diagnosis.measurement import sag_doubt
 from rejoint.diagnosis.segments import ExcitationLog, join_logs
+from rejoint.logs.columns import ZEROS
 from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, powered, table_height, velocity
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
@@ -184,7 +185,7 @@ def fitted_twin(
 ) -> Twin:
     """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen in all ``logs`` bound it.
 
-    Nothing is identified where the sag is ``doubted``.
+    Nothing is identified where the sag is ``doubted``, as without known zeros.
     """
     replay, belief, at = problem.replay, problem.prior, problem.layout.at
     covariance, unreached = uncertainty(problem, found, clusters), ~limited(problem, found.vector)
@@ -302,9 +303,9 @@ def identify_logs(
         motions = replace(motions, logs=sorted(at_gain(logs, gain), key=lambda log: log.label))
         problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
     on_progress(0.9, "intervals")
-    doubt = sag_doubt(motions.data)
-    held_out = _held_out(judgement)
-    twin = fitted_twin(problem, found, motions.logs, independent(problem), held_out, table, doubted=bool(doubt))
+    doubt, held_out = sag_doubt(motions.data), _held_out(judgement)
+    doubted = bool(doubt) or ZEROS in motions.data.log.extra
+    twin = fitted_twin(problem, found, motions.logs, independent(problem), held_out, table, doubted=doubted)
     return replace(
         twin,
         gain=gain,
