@@ -282,6 +282,8 @@ SHARPEST = 400.0
 """[rad/s^2] ten times an SO-101's limit"""
 TOO_FAST, SPEED_ROWS = 4.0, 5
 """times the servo's speed, over rows"""
+SHORTEST = 1.0
+"""[s] of a log"""
 WRAP = 1.0
 """[rad] of a step that the end of a turn may hide"""
 FAR_OUT = 0.05
@@ -332,7 +334,9 @@ def unwrapped(motion: RecordedMotion, arm: Arm) -> tuple[RecordedMotion, list[Re
 
 
 def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
-    """Check angles against limits and speeds of the arm."""
+    """Check the length, and angles against limits and speeds of the arm."""
+    if (seconds := motion.time[-1] - motion.time[0]) < SHORTEST:
+        yield f"state: only {seconds:.2g} s of motion; if each line is a variable, exchange lines and columns", ""
     excess = np.maximum(motion.position - arm.upper, arm.lower - motion.position) * ~arm.endless
     far, worst = (excess > LIMIT_MARGIN).mean(axis=0), excess.max(axis=0)
     for joint in np.flatnonzero(worst > 0):
