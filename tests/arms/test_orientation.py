@@ -18,7 +18,6 @@ from rejoint.arms.rotations import (
     quaternion_of,
     rotation_of,
     same_side,
-    stacked,
     tool_axis,
     turned,
 )
@@ -143,10 +142,3 @@ def test_without_an_orientation_postures_are_those_of_points_to_the_bit():
     tcp, expected = position_kinematics(arm, start)
     np.testing.assert_array_equal(error, places - tcp)
     np.testing.assert_array_equal(jacobian, expected)
-
-
-def test_orientations_are_taken_apart_and_put_together():
-    turn = shown(ARMS[0], postures(ARMS[0], 6, 10), whole=True)
-    both = stacked([turn[:3], turn[3:]], axis=0)
-    assert both.weight.shape == (2, 3)
-    np.testing.assert_array_equal(both[1, 2].rotation, turn.rotation[5])

@@ -281,15 +281,6 @@ def test_a_command_beyond_the_end_of_a_joint_is_no_error():
     assert diagnose_logs(ARM, [short], None).evidence.rest_error_mm.value > 10.0
 
 
-def test_a_slow_joint_that_still_turns_round_is_not_stuck():
-    time = np.arange(0.0, 60.0, 1 / 15)
-    rates = np.array([1.1, 2.3, 3.1])
-    command = np.outer(0.6 * np.sin(np.outer(time, rates)).sum(axis=1), np.ones(ARM.joints))
-    late = 0.6 * np.sin(np.outer(time, rates) - 2.0 * np.arctan(rates / 4.0)) / (1.0 + (rates / 4.0) ** 2)
-    log = as_log("slow", time, np.outer(late.sum(axis=1), np.ones(ARM.joints)), command)
-    assert "stuck" not in {one.kind for one in diagnose_logs(ARM, [log], None).findings}
-
-
 def test_current_tells_friction_where_nobody_recorded_commands():
     log = states_with_current(np.full(ARM.joints, 0.4), 0.0)
     with pytest.raises(InputError, match="hold no commands"):

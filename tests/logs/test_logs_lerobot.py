@@ -87,15 +87,18 @@ def test_ranges_follow_from_steps_and_a_still_joint_has_its_usual_one():
     np.testing.assert_allclose(calibrated_ranges(raw, ARM, DATASET), [2100, 2100, 2100, 2100, usual])
 
 
-def test_several_files_mixed_rows_and_prefixed_names_make_the_same_logs(dataset: Path, tmp_path):
+def test_several_files_mixed_rows_and_other_names_make_the_same_logs(dataset: Path, tmp_path):
     info = dataset / "meta/info.json"
     for name in ARM.joint_names:
         info.write_text(info.read_text().replace(name, f"main_{name}"))
+    info.write_text(info.read_text().replace('"action"', '"actions"'))
     table = pq.read_table(dataset / DATA)
+    table = table.rename_columns([name.replace("action", "actions") for name in table.column_names])
     mixed = table.take(np.random.default_rng(3).permutation(90))
     pq.write_table(mixed.slice(0, 30), dataset / DATA)
     (dataset / "data/chunk-001").mkdir()
     pq.write_table(mixed.slice(30), dataset / "data/chunk-001/file-000.parquet")
+    pq.write_table(mixed.select(["index"]), dataset / "data/chunk-001/foreign.parquet")
     plain = import_logs(DATASET, ARM, out=tmp_path / "1", options=DEGREES).logs
     other = import_logs(dataset, ARM, out=tmp_path / "2", options=DEGREES).logs
     for a, b in zip(plain, other, strict=True):

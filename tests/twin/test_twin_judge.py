@@ -79,18 +79,6 @@ def test_every_prediction_has_a_name_of_its_own(logs, names):
         rejoint.identify(logs, arm=ARM, plan=rejoint.LogPlan(beside=beside))  # at once, not after the fit
 
 
-def test_a_published_set_is_read(tmp_path):
-    path = tmp_path / "maker.toml"
-    path.write_text("stiffness = 17.0\ndamping = [1, 2, 3, 4, 5]\ncoulomb = 0.05\narmature = 0.028\n")
-    found = read_published(path, ARM)
-    assert (found.name, found.table) == ("maker", None)
-    assert found.parameters.stiffness.tolist() == [17.0] * 5
-    assert found.parameters.stiction.tolist() == [1.0] * 5
-    assert found.parameters.damping.tolist() == [1, 2, 3, 4, 5]
-    assert found.parameters.offset.tolist() == [0.0] * 5
-    assert (found.parameters.torque_limit > 40).all()
-
-
 @pytest.mark.parametrize("path", sorted((Path(__file__).parents[2] / "docs" / "published").glob("*.toml")), ids=str)
 def test_the_published_sets_of_the_documentation_are_usable(path, logs):
     found = read_published(path, ARM)
