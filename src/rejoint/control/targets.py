@@ -216,8 +216,10 @@ _DRAWS, _AWAY = 100, 0.01
 def draw_set(arm: Arm, rng: np.random.Generator, count: int) -> Array:
     """Draw (count, 3) [m] targets; beside boxes, those with straight ways from the one before and from rest.
 
-    InputError where the boxes leave too few.
+    InputError without a region, or where the boxes leave too few.
     """
+    if arm.targets.is_point:
+        raise InputError(f"targets: {arm.name} has no region to draw them from; give some, or `targets` in its file")
     if not arm.keep_out:
         return arm.targets.sample(rng, (count,))
     crowded = replace(

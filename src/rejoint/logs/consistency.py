@@ -282,8 +282,8 @@ SHARPEST = 400.0
 """[rad/s^2] ten times an SO-101's limit"""
 TOO_FAST, SPEED_ROWS = 4.0, 5
 """times the servo's speed, over rows"""
-SHORTEST = 1.0
-"""[s] of a log"""
+BRIEF = 1.0
+"""[s] of a log that may be a turned table"""
 WRAP = 1.0
 """[rad] of a step that the end of a turn may hide"""
 FAR_OUT = 0.05
@@ -294,8 +294,11 @@ LIMIT_MARGIN = 0.35
 
 def without_spikes(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]]:
     """Leave out readings that no joint could reach and leave; remarks say so, or doubt all."""
-    value, rows, worst, turns = motion.position, np.zeros(len(motion), dtype=bool), (0.0, 0, 0), 0.0
-    step, most = np.abs(np.diff(value, axis=0)), SPIKE + SHARPEST / 4 * np.diff(motion.time)[:, None] ** 2
+    value, took, far, turns = motion.position, np.diff(motion.time)[:, None], np.zeros(len(motion)), 0.0
+    step = np.abs(np.diff(value, axis=0))
+    changes = [motion.time[1:][one > 0.0] for one in step.T]  # slower than rows where readings are repeated
+    fresh = [np.median(np.diff(one)) if len(one) > 2 else 0.0 for one in changes]
+    most = SPIKE + SHARPEST / 4 * np.maximum(took, fresh) ** 2
     around = np.pad(step, ((1, 1), (0, 0)))
     alone = (step > most) & (np.maximum(around[2:], around[:-2]) < 0.5 * step)  # no swift motion
     for count in range(1, min(MISREAD, len(step) - 1) + 1):
@@ -304,17 +307,19 @@ def without_spikes(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]
         if count == 1:
             turns = (back & (out > SPIKE)).mean()
         back &= (out > np.minimum(most[:-1], most[1:])) if count == 1 else alone[:-count] & alone[count:]
-        for row in np.flatnonzero(back.any(axis=1)).tolist():
-            joint = int(np.argmax(out[row] * back[row]))
-            rows[row + 1 : row + 1 + count], worst = True, max(worst, (float(out[row, joint]), row + 1, joint))
+        size = (out * back).max(axis=1)
+        for row in range(1, count + 1):
+            np.maximum(far[row : row + len(size)], size, out=far[row : row + len(size)])
+    rows, row, said = far > 0.0, int(far.argmax()), "joints jump out and back"
+    if rows.any():
+        joint = motion.columns[step[row - 1].argmax()]
+        said += f", by up to {far[row]:.3g} rad, in {motion.where(row)}, {joint}"
     if len(motion) > 4 * SPEED_ROWS and (rows.mean() > LOST or turns > SPIKED):
-        said = f"state: in {100 * max(rows.mean(), turns):.0f} % of the samples joints jump out and back"
-        return motion, [(f"{said}: as if two arms took turns", "give each arm a file of its own, or mend the values")]
+        said = f"state: in {100 * max(rows.mean(), turns):.0f} % of the samples {said}: as if two arms took turns"
+        return motion, [(said, "give each arm a file of its own, or mend the values")]
     if not rows.any():
         return motion, []
-    far, row, joint = worst
-    said = f"by up to {far:.3g} rad, in {motion.where(row)}, {motion.columns[joint]}"
-    return motion.take(~rows), [(f"state: {rows.sum()} sample(s) left out that jump out and back, {said}", "")]
+    return motion.take(~rows), [(f"state: {rows.sum()} sample(s) left out, where {said}", "")]
 
 
 def unwrapped(motion: RecordedMotion, arm: Arm) -> tuple[RecordedMotion, list[Remark]]:
@@ -335,7 +340,7 @@ def unwrapped(motion: RecordedMotion, arm: Arm) -> tuple[RecordedMotion, list[Re
 
 def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
     """Check the length, and angles against limits and speeds of the arm."""
-    if (seconds := motion.time[-1] - motion.time[0]) < SHORTEST:
+    if (seconds := motion.time[-1] - motion.time[0]) < BRIEF:
         yield f"state: only {seconds:.2g} s of motion; if each line is a variable, exchange lines and columns", ""
     excess = np.maximum(motion.position - arm.upper, arm.lower - motion.position) * ~arm.endless
     far, worst = (excess > LIMIT_MARGIN).mean(axis=0), excess.max(axis=0)

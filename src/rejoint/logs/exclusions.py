@@ -194,7 +194,8 @@ def powered(arm: Arm, logs: Sequence[RunLog]) -> list[RunLog]:
 def _within_ends(arm: Arm, logs: Sequence[RunLog]) -> list[RunLog]:
     """Hold commands within limits and what was reached, as firmware or a stop does; not where zeros are unknown."""
     reached = np.concatenate([log.position for log in logs])
-    low, high = np.minimum(arm.lower, reached.min(axis=0)), np.maximum(arm.upper, reached.max(axis=0))
+    low = np.where(arm.endless, -np.inf, np.minimum(arm.lower, reached.min(axis=0)))
+    high = np.where(arm.endless, np.inf, np.maximum(arm.upper, reached.max(axis=0)))
     return [log if ZEROS in log.extra else replace(log, command=log.command.clip(low, high)) for log in logs]
 
 

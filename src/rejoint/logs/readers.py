@@ -192,8 +192,8 @@ def _episodes(source: Path, options: ImportOptions) -> Iterator[RawMotion]:
         if not 0 < fps < np.inf:
             raise FileError(path, f"fps is {fps}", _REMEDY)
         features = data["features"]
-        keys = [one for ones in _GROUPS.values() for one in ones if one in features]
-        if len(keys) != len(_GROUPS):
+        keys = [next((one for one in ones if one in features), "") for ones in _GROUPS.values()]
+        if not all(keys):
             expected = " and ".join(" or ".join(ones) for ones in _GROUPS.values())
             raise FileError(
                 path, f"features {', '.join(features)}, expected {expected}", "rename them, here and in data"
@@ -256,9 +256,9 @@ def _read_frames(source: Path, features: Sequence[str]) -> tuple[dict[str, Array
                 table = read_parquet(file, _REMEDY, keys)
                 found.append([np.array(table[key].to_pylist(), dtype=float).reshape(len(table), -1) for key in keys])
         except FileError as error:
-            left_out.append(f"left out: {error}")
+            left_out.append(f"left out: {file.name}, {error.problem}")
     if not found:
-        raise FileError(source, left_out[0], _REMEDY)
+        raise FileError(source / "data", f"{len(files)} files, none with frames; {left_out[0]}", _REMEDY)
     with reading(source, "files of different width", _REMEDY):
         return {key: np.concatenate(parts) for key, parts in zip(keys, zip(*found, strict=True), strict=True)}, left_out
 

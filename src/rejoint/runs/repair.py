@@ -184,7 +184,7 @@ def repair(
         from rejoint.training.task import load_preset  # late: a process that only moves arms trains nothing
 
         load_preset(what.preset)
-    posed = as_targets(what.targets, built, sets=1, seed=0)[1] is not None
+    posed = what.targets is not None and as_targets(what.targets, built, sets=1, seed=0)[1] is not None
     tunable = _is_tunable(robot, built)
     maker = ControllerMaker(built, period_of(robot, chosen.period))
     maker.require_possible(what.controllers, tunable=tunable, posed=posed)
@@ -203,8 +203,10 @@ def repair(
         compare(robot, ["default"], what.targets, arm=built, plan=trials, settings=chosen, observer=watching)
         watching.message("The first is the diagnosis, the second the comparison of one controller with ten targets.")
         return about
+    files = stages_of(robot, about.arm, about.folder, what, quick=quick)
+    if only is not None and only not in files:
+        raise InputError(f"this repair has no stage {only}; it has: {', '.join(files)}")
     found = about.begin()
-    files = stages_of(robot, found.arm, found.folder, what, quick=quick)
     prepared = partial(_comparison, robot, found, what, chosen, quick=quick)
     ahead = None
 

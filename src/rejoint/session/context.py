@@ -250,23 +250,25 @@ class ControllerMaker:
         return found is not None and gains is not None and not differing(gains, found.under)
 
     def choice(self) -> tuple[str, str]:
-        """Return the controller that drives by default, and why.
+        """Return the controller that drives by default, and why: the run's recommendation, else the `fallback`."""
+        if self.run is not None and (comparison := self.run.comparison) is not None:
+            return recommend(comparison).controller, f"{self.run.path} recommends it"
+        return self.fallback("has no comparison yet")
 
-        In this order: the run's recommendation, its policy, the generic policy if it suits, feed-forward.
+    def fallback(self, lacks: str) -> tuple[str, str]:
+        """Return the policy of the run, which ``lacks`` a recommendation, else a generic one that suits, else another.
+
+        The feed-forward is the last; also why.
         """
-        run, lacks = self.run, "without a run"
+        run, without = self.run, "without a run"
         if run is not None:
-            best = None if (comparison := run.comparison) is None else recommend(comparison).controller
-            if best in (*CONTROLLERS, *RIVALS):
-                return best, f"{run.path} recommends it"
             if self.policy_file is not None:
                 own = GEARED_POLICY if self.trained_for_tuned else POLICY
-                why = "has no comparison yet" if best is None else f"recommends {best}, which only a program has"
-                return own, f"the policy of {run.path}, which {why}"
-            lacks = f"{run.path} has no policy yet"
+                return own, f"the policy of {run.path}, which {lacks}"
+            without = f"{run.path} has no policy yet"
         if self.suits_shelf:
-            return SHELF, f"the policy that comes with rejoint; {lacks}"
-        return FeedforwardController.name, f"no policy suits this arm; {lacks}"
+            return SHELF, f"the policy that comes with rejoint; {without}"
+        return FeedforwardController.name, f"no policy suits this arm; {without}"
 
     def contenders(self, *, real: bool, posed: bool) -> tuple[str, ...]:
         """Name the controllers compared by default; a real arm gets the generic policy until it has its own."""

@@ -19,6 +19,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, Displacement, Motors, load_arm, tcp_position
 from rejoint.arms.inertia import LoadedArm
 from rejoint.arms.postures import too_heavy
+from rejoint.control.controllers.catalogue import CONTROLLERS
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.controllers.posture import PostureController, PostureGains
@@ -37,7 +38,7 @@ from rejoint.control.robot import (
     part_of,
     turned_off,
 )
-from rejoint.control.servogains import ServoGains, Tunable, gains_in_force, limits_under, under_gains
+from rejoint.control.servogains import RIVALS, ServoGains, Tunable, gains_in_force, limits_under, under_gains
 from rejoint.control.start import begin, check_ready, move
 from rejoint.control.targets import in_mm
 from rejoint.diagnosis.calibration.calibration import Calibration
@@ -478,6 +479,8 @@ class ArmDriver:
         if posed not in self._chosen:
             asked, own = self.settings.controller, ControllerMaker(self.arm, self.period, self._named)
             wanted, why = own.choice() if asked is None else (asked, "as asked for")
+            if asked is None and wanted not in (*CONTROLLERS, *RIVALS):
+                wanted, why = own.fallback(f"recommends {wanted}, which only a program has")
             name, make = self.maker(wanted, self.twin)
             if posed and not heeds_turn(make(self.arm)):
                 why = f"{name} does not turn the tool"

@@ -77,6 +77,9 @@ IDENTIFIED = 0.5
 SCALE = ("stiffness", "damping", "coulomb", "armature")
 """Parameters of a joint with one scale, where nothing tells torques"""
 
+SAGLESS = ("delay", "ramp_speed")
+"""Parameters that no sag tells"""
+
 LIGHT_SAG = 1e-3
 """[rad] sag of a joint whose offset shows without its stiffness; chosen"""
 
@@ -185,7 +188,7 @@ def fitted_twin(
 ) -> Twin:
     """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen in all ``logs`` bound it.
 
-    Nothing is identified where the sag is ``doubted``, as without known zeros.
+    Where the sag is ``doubted``, as without known zeros, only `SAGLESS` ones are identified.
     """
     replay, belief, at = problem.replay, problem.prior, problem.layout.at
     covariance, unreached = uncertainty(problem, found, clusters), ~limited(problem, found.vector)
@@ -194,7 +197,8 @@ def fitted_twin(
     parameters = unpack(vector, problem.joints)
     told, sigma = belief.sigma if belief.told is None else belief.told, np.sqrt(np.diag(covariance))
     narrowing = sigma / told
-    identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen & (not doubted)
+    sagless = np.isin(belief.layout.kind, [number(name) for name in SAGLESS])
+    identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen & (sagless | (not doubted))
     silent = problem.powered.sum(axis=0) == 0
     together = sum(told[at(name)] ** -2 for name in SCALE) ** -0.5  # of their scale, by all priors without data
     mute, vague = (np.append(one, False)[problem.owner] for one in (silent, sigma[at("stiffness")] > together))

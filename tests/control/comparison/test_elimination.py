@@ -21,7 +21,6 @@ from rejoint.logs.runfolder import read_effort
 from rejoint.pages.report.tables import columns, plain_table
 from rejoint.runs.run import Run
 from rejoint.runs.stages.compare import ComparisonJob, open_loop_trials
-from rejoint.session.context import ControllerMaker
 from rejoint.system.errors import ContractError, GuardTripError, NoReplyError, NotReadyError
 from rejoint.training.task import DEFAULT
 from rejoint.training.train import policy_contract
@@ -307,7 +306,8 @@ def test_a_comparison_with_own_controllers_begins_anew_for_they_may_have_changed
     assert run.folder.trials.exists()
     found = driven(one=DefaultController, two=DefaultController)
     assert found.row("one").settled == found.row("two").settled, "nothing of the version before"
-    assert ControllerMaker(ARM, run=run).choice()[0] == "shelf", "only a program has another"
+    with rejoint.connect("emulated:worn", run=run) as arm:
+        assert arm.controller == "shelf", "only a program has the other"
 
 
 def test_an_interrupted_comparison_in_blocks_goes_on_where_it_was(tmp_path):
