@@ -342,16 +342,19 @@ def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
     """Check the length, and angles against limits and speeds of the arm."""
     if (seconds := motion.time[-1] - motion.time[0]) < BRIEF:
         yield f"state: only {seconds:.2g} s of motion; if each line is a variable, exchange lines and columns", ""
-    excess = np.maximum(motion.position - arm.upper, arm.lower - motion.position) * ~arm.endless
-    far, worst = (excess > LIMIT_MARGIN).mean(axis=0), excess.max(axis=0)
-    for joint in np.flatnonzero(worst > 0):
-        said = (
-            f"state: {motion.columns[joint]} is beyond the limits of joint {arm.joint_names[joint]} "
-            f"({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad) in {100 * (excess[:, joint] > 0).mean():.3g} % of "
-            f"the samples, by up to {worst[joint]:.3g} rad"
-        )
-        remedy = f"check unit, joint order and zero posture (--angle-unit), or {GEAR_REMEDY}"
-        yield said, remedy if far[joint] > FAR_OUT else ""
+    for what, values in {"state": motion.position, "command": motion.command}.items():
+        if values is None:
+            continue
+        excess = np.maximum(values - arm.upper, arm.lower - values) * ~arm.endless
+        far, worst = (excess > LIMIT_MARGIN).mean(axis=0), excess.max(axis=0)
+        for joint in np.flatnonzero(worst > 0):
+            said = (
+                f"{what}: {motion.columns[joint]} is beyond the limits of joint {arm.joint_names[joint]} "
+                f"({arm.lower[joint]:.3g} to {arm.upper[joint]:.3g} rad) in "
+                f"{100 * (excess[:, joint] > 0).mean():.3g} % of the samples, by up to {worst[joint]:.3g} rad"
+            )
+            remedy = f"check unit, joint order and zero posture (--angle-unit), or {GEAR_REMEDY}"
+            yield said, remedy if what == "state" and far[joint] > FAR_OUT else ""
     if len(motion) >= SPEED_ROWS:
         yield from _check_motion(motion, arm)
 

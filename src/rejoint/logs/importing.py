@@ -5,7 +5,6 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -127,12 +126,6 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
         notes.append(NO_COMMANDS)
         command = np.full_like(motion.position, np.nan)
     else:
-        past = ((command < arm.lower) | (command > arm.upper)) & ~arm.endless
-        if past.any():
-            named = ", ".join(compress(arm.joint_names, np.any(past, axis=0)))
-            notes.append(
-                f"command: beyond the limits of {named} in {100 * past.any(axis=1).mean():.3g} % of the samples"
-            )
         powered = (motion.more.get("gain", np.ones_like(command)) != 0).any(axis=-1)
         off = [joint for joint, name in enumerate(arm.joint_names) if name in options.torque_off]
         take(check_agreement(motion.take(powered), off))
