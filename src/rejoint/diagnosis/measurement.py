@@ -197,7 +197,7 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -
     half = None if law is None else _friction(law.estimate(WIDTH))
     effort = fit_effort(data, joint)
     dry, viscous = (_friction(effort.estimate(term)) if effort else None for term in (WIDTH, LAG))
-    if not (dry and viscous and (dry.low or viscous.low)):  # none, or of a turned sign
+    if dry is None or not (dry.low or (viscous and viscous.low)):  # none, or of a turned sign
         dry = viscous = None
     return JointMetrics(
         joint=data.arm.joint_names[joint],

@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque, tcp_position
 from rejoint.arms.kinematics import frames
@@ -73,6 +74,10 @@ def of_diagnosis(logs: Sequence[RunLog]) -> bool:
     return any(map(is_excitation, logs)) and all(is_excitation(log) or log.label == TARGETS_LABEL for log in logs)
 
 
+SMOOTHED = 0.01
+"""[s] standard deviation of a mean before readings are differentiated twice; chosen: encoder steps vanish"""
+
+
 @entity
 class ExcitationLog:
     """A run log with segments and derived signals."""
@@ -106,8 +111,10 @@ class ExcitationLog:
     @cached_property
     def load(self) -> Array:
         """(T, n) [N m] that gravity and, where effort is logged, the links' inertia take."""
-        moving = 0.0 if self.effort_unit is None else inertial_torque(self.arm, self.log.time, self.log.position)
-        return self.gravity + moving
+        if self.effort_unit is None:
+            return self.gravity
+        smooth = gaussian_filter1d(self.log.position, SMOOTHED / self.log.period, axis=0)
+        return self.gravity + inertial_torque(self.arm, self.log.time, smooth)
 
     @property
     def effort(self) -> Array:
