@@ -22,7 +22,7 @@ from rejoint.diagnosis.segments import (
     resting_postures,
     settled_postures,
 )
-from rejoint.diagnosis.verdict import RULES, Finding, find
+from rejoint.diagnosis.verdict import RULES, Finding, chord, find
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.consistency import refuse_copies, remarks_on, require_commands, states_alone
 from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, powered, table_height, unpowered_joints
@@ -262,8 +262,8 @@ def _doubted(measurement: Measurement) -> tuple[str, ...]:
     if 1.0 / AGREE < over < AGREE:
         return ()
     return (
-        f"Logged torque is {over:.4g} times what carries the weight of the model: check its sign and unit, and the "
-        "masses and load of the arm.",
+        f"Logged torque is {over:.4g} times what carries the weight of the model: check its sign and unit, the masses "
+        "and load of the arm, and how its base is mounted.",
     )
 
 
@@ -294,7 +294,8 @@ def _rest_error(arm: Arm, excluded: Sequence[Exclusions]) -> Estimate | None:
     means: list[float] = []
     for rows in excluded:
         position, command = resting_postures(replace(rows, log=answered(rows.log)))
-        if ZEROS in rows.log.extra or not len(position):
+        moot = ZEROS in rows.log.extra or len(unpowered_joints(rows.log)) == arm.joints
+        if moot or not len(position):
             continue
         error = np.linalg.norm(tcp_position(arm, command) - tcp_position(arm, position), axis=-1) * 1e3
         _, place, count = np.unique(np.round(command, 3), axis=0, return_inverse=True, return_counts=True)
@@ -339,7 +340,7 @@ def _farthest(arm: Arm, rest: Postures) -> str:
     """Name the joint that takes the tool farthest from where it was sent."""
     position, command = rest
     off = np.abs(command - position)
-    at_tool = (levers(arm, position) * off).mean(axis=0)
+    at_tool = (levers(arm, position) * chord(off)).mean(axis=0)
     joint, degrees = at_tool.argmax(), np.degrees(off.mean(axis=0))
     if not at_tool[joint] > 0.0:
         return ""
@@ -361,20 +362,20 @@ def _grown(measurement: Measurement, healthy: HealthyReference | None) -> list[s
 
 
 def _by_effort(measurement: Measurement, grown: list[str] | None) -> str:
-    def said(found: Estimate, unit: str) -> str:
-        return f"{found.value:.3g}{unit} ({found.low:.3g} to {found.high:.3g})"
+    def said(found: Estimate | None, unit: str) -> str:
+        return f"{found.value:.3g}{unit} ({found.low:.3g} to {found.high:.3g})" if found else "none by speed"
 
     unit = f" {measurement.effort_unit}" if measurement.effort_unit else ""
     rows = measurement.joints
     named = [
         f"{row.joint} {said(row.coulomb_effort, unit)} and {said(row.viscous_effort, f'{unit} s/rad')}"
         for row in rows
-        if row.coulomb_effort and row.viscous_effort
+        if row.coulomb_effort
     ]
     if others := [row.joint for row in rows if not row.coulomb_effort]:
         named.append(
-            f"not known at {', '.join(others)}: too little motion to and fro (a minute is enough), or the sign of "
-            "the column is turned or missing (a minus in --map turns one)"
+            f"not known at {', '.join(others)}: too little motion to and fro, or the sign of the column is turned or "
+            "missing (a minus in --map turns one), or the base is not mounted as in the model"
         )
     than = "" if grown is None else f" Beside the healthy arm it grew at {', '.join(grown) or 'no joint'}."
     return (

@@ -180,6 +180,11 @@ def find(
     return tuple(sorted(found, key=lambda f: (f.severity != "bad", -f.tcp_mm)))
 
 
+def chord(angle: Array) -> Array:
+    """Distance per lever of an ``angle`` [rad]."""
+    return 2.0 * np.sin(np.minimum(np.abs(angle), np.pi) / 2.0)
+
+
 def stuck(case: _Case) -> Found:
     """Report a joint that does not move when commanded, or is beyond measurement."""
     gain, far = case.row.sweep_gain, case.errors.max()
@@ -192,7 +197,7 @@ def stuck(case: _Case) -> Found:
     if case.row.torque_limit_nm is not None:
         why = f", and spent {case.row.saturated_share * 100:.0f} % of the excitation at its torque limit"
     resting = case.errors.max() >= STUCK_ERROR  # else it rests where it has begun, or never
-    return (case.levers * (case.errors if resting else far)).mean(), (
+    return (case.levers * chord(case.errors if resting else far)).mean(), (
         f"does not follow: it stood up to {np.degrees(far):.0f} deg off where it was sent, so it is too weak for its "
         f"load or blocked{why}; this costs{'' if resting else ' up to'}"
     )
