@@ -256,7 +256,7 @@ def parse(path: Path) -> ET.Element:
         text = read_bounded(path, remedy)
     try:
         # Prefixes such as drake: are often used without being declared, which MuJoCo does not mind.
-        root = ET.fromstring(_PREFIX.sub(rb"\1\2_", text))  # noqa: S314 - expat expands no external entities
+        root = ET.fromstring(_PREFIX.sub(rb"\1\2_", text.lstrip()))  # noqa: S314 - expat expands no external entities
     except (UnicodeError, LookupError, ET.ParseError) as error:
         raise FileError(path, f"it is no XML in the encoding that it declares: {error}", "correct the file") from error
     if root.tag not in ("robot", "mujoco"):

@@ -363,6 +363,10 @@ class _GroupedColumns:
 
         meant = set(map(meaning, mapped))
         self.columns = {place: one for place, one in self.columns.items() if meaning(one) not in meant} | own
+        if not self.of("position"):  # columns named as the joints
+            bare = ((i, title, joint_of(title, arm)) for i, title in enumerate(motion.titles))
+            own = {i: Column(i, title, name=name, unit=split_unit(title, ANGLES)[1]) for i, title, name in bare if name}
+            self.columns = own | self.columns
         if ignored := [title or "(no name)" for i, title in enumerate(motion.titles) if i not in self.columns]:
             self.notes.append(f"columns ignored: {shown(ignored)}")
         if not self.of("position"):
@@ -386,8 +390,9 @@ class _GroupedColumns:
                 f"--map {ours}={theirs}: {ours} is nothing that a log has: time, JOINT, command.JOINT, torque.JOINT, "
                 f"target.x or true_tcp.x; the joints are {', '.join(self.arm.joint_names)}"
             )
-        given, scale, offset = read_linear(theirs, {*titles, *(column.name for column in self.columns.values())})
-        first, between, last = theirs.partition("..")
+        known = {*titles, *(column.name for column in self.columns.values())}
+        given, scale, offset = read_linear(theirs, known if {*theirs.split("..")} - {*titles} else {theirs})
+        first, between, last = given.partition("..")
         if between and first in titles and last in titles:
             places, names = [*range(titles.index(first), titles.index(last) + 1)], self.arm.joint_names
             if joint is not None or len(places) != len(names):

@@ -370,7 +370,7 @@ def _check_motion(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
             yield (
                 f"state: {motion.columns[joint]} moves at {usual[joint]:.3g} rad/s and more in a tenth of the log, "
                 f"joint {arm.joint_names[joint]} at up to {arm.max_speed[joint]:.3g}",
-                f"{_TIME_REMEDY}; or give the arm's speeds in its file",
+                f"give the arm's speeds in its file, if these are not its own; else {_TIME_REMEDY}",
             )
     far, steps = np.abs(way), np.maximum(steps, np.median(steps))
     speed, took = far / steps, np.maximum(steps[:-2], steps[1:-1])  # a late stamp lengthens the step before
