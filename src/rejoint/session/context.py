@@ -256,10 +256,7 @@ class ControllerMaker:
         return self.fallback("has no comparison yet")
 
     def fallback(self, lacks: str) -> tuple[str, str]:
-        """Return the policy of the run, which ``lacks`` a recommendation, else a generic one that suits, else another.
-
-        The feed-forward is the last; also why.
-        """
+        """Return the run's policy, which ``lacks`` a recommendation, else a generic one or feed-forward, and why."""
         run, without = self.run, "without a run"
         if run is not None:
             if self.policy_file is not None:
