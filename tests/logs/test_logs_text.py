@@ -1,7 +1,6 @@
 """CSV as spreadsheets, Arduino sketches, NumPy and old programs write it; and the layout that the pages show."""
 
 import re
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -88,13 +87,13 @@ def test_columns_without_titles_are_numbered(tmp_path):
     assert log.command.tolist() == FOUND.command.tolist()
 
 
-def test_one_pattern_maps_the_columns_of_every_joint(tmp_path):
-    titles = ["time_s", *(f"{name}_{kind}" for kind in ("actual", "target") for name in ARM.joint_names)]
+def test_one_pattern_maps_the_columns_of_every_joint_and_those_named_as_joints_are_positions(tmp_path):
+    titles = ["time_s", *(f"{name}_{kind}" for kind in ("rad", "target") for name in ARM.joint_names)]
     (tmp_path / "log.csv").write_text(text(",".join(titles), *lines(header=False)).replace("\n", ",\n"))
-    options = ImportOptions(columns={"JOINT_rad": "-JOINT_actual", "command.JOINT_rad": "JOINT_target"})
-    log = import_logs(tmp_path / "log.csv", ARM, out=tmp_path / "logs", options=replace(options, force=True)).logs[0]
-    assert log.position.tolist() == (-FOUND.position).tolist()
-    assert log.command.tolist() == FOUND.command.tolist()
+    options = ImportOptions(columns={"command.JOINT_rad": "-JOINT_target"}, force=True)
+    log = import_logs(tmp_path / "log.csv", ARM, out=tmp_path / "logs", options=options).logs[0]
+    assert log.position.tolist() == FOUND.position.tolist()
+    assert log.command.tolist() == (-FOUND.command).tolist()
 
 
 PAGE = (Path(__file__).parents[2] / "docs/logs.md").read_text()
