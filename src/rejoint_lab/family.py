@@ -1,9 +1,8 @@
 """The robot family `emulated:`, which the product finds by its entry point as it finds those of other packages."""
 
 from dataclasses import field, replace
-from importlib.resources import files
 
-from rejoint.arms import CATALOGUE, Arm, load_arm
+from rejoint.arms import CATALOGUE, load_arm
 from rejoint.arms.inertia import bare
 from rejoint.control.robot import Robot
 from rejoint.robots import DEFAULT_ARM, Family, Opening, Place
@@ -11,13 +10,13 @@ from rejoint.robots.dynamixel import KIND as X_SERIES
 from rejoint.robots.feetech import KIND as STS
 from rejoint.robots.knobs import Gains
 from rejoint.system.records import value_type
+from rejoint_lab.plant.wear import load_wear, wear_arm, wear_names
 from rejoint_lab.plant.xseries import drives
 
 SIMULATOR = "mujoco"
 """Module of emulated arms"""
 # [s] Park et al. 2024 name 20 ms; the wire adds up to half of it (chosen)
 _PERIOD = (0.020, 0.030)
-_PROFILES = files(__package__) / "plant" / "profiles"
 
 
 @value_type
@@ -47,7 +46,7 @@ def _profile(text: str) -> EmulatedAddress:
     parts = [part.partition("=") for part in query.split("&")] if query else []
     given = {key: value for key, _, value in parts if key in ("payload", *STS.knobs, *X_SERIES.knobs)}
     words, arm = [key for key, equals, _ in parts if not equals], None
-    if words or (base in CATALOGUE and not (_PROFILES / f"{base}.toml").is_file()):
+    if words or (base in CATALOGUE and base not in wear_names()):
         arm, base = base, words[0] if words else "new"
         if arm not in CATALOGUE or len(words) > 1:
             raise ValueError(f"not of the form emulated:ARM?PROFILE with one of the arms {', '.join(CATALOGUE)}")
@@ -63,15 +62,8 @@ def _profile(text: str) -> EmulatedAddress:
     return EmulatedAddress(profile=profile, arm=arm, payload=payload, gains=kind.read_gains(given))
 
 
-def _profile_arm(address: EmulatedAddress) -> str:
-    from rejoint_lab.plant.wear import wear_arm
-
-    return address.arm or wear_arm(address.profile) or DEFAULT_ARM
-
-
 def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
     from rejoint_lab.emulated import EmulatedRobot
-    from rejoint_lab.plant.wear import load_wear
 
     # What was told of the hand is a description: of it only where the tip is becomes true by being told.
     true = bare(opening.arm)
@@ -88,19 +80,14 @@ def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
     )
 
 
-def has_gains(arm: Arm) -> bool:
-    """Whether all servos of an ``arm`` have gains that can be set."""
-    return set(arm.servos) == {"STS3215"} or drives(arm.servos)
-
-
 EMULATED = Family(
     scheme="emulated",
     form="emulated:PROFILE or emulated:ARM?PROFILE",
     parse=_profile,
     connect=_emulated,
-    default_arm=_profile_arm,
+    default_arm=lambda address: address.arm or wear_arm(address.profile) or DEFAULT_ARM,
     default_period=_PERIOD,
     virtual=True,
-    tunable=has_gains,
+    tunable=lambda arm: set(arm.servos) == {"STS3215"} or drives(arm.servos),
     needs=(SIMULATOR,),
 )

@@ -201,11 +201,6 @@ def payload_of(text: str) -> LoadedWith:
     return LoadedWith(mass=kilograms, com=point_of("--payload", *com))
 
 
-def tool_of(text: str) -> tuple[float, float, float]:
-    """Read ``x,y,z`` in mm as metres; InputError for anything else."""
-    return point_of("--tool", *_numbers(text, 3, f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50"))
-
-
 def _numbers(text: str, count: int, refusal: str) -> list[float]:
     try:
         found = list(map(float, text.split(",")))
@@ -252,7 +247,9 @@ KINDS = {
 READ: dict[str, Callable[[Any], object]] = {
     "within": lambda mm: 1e-3 * mm,
     "payload": payload_of,
-    "tool": tool_of,
+    "tool": lambda text: point_of(
+        "--tool", *_numbers(text, 3, f"--tool {text!r}: expected x,y,z in mm, such as 0,0,50")
+    ),
     "keep_out": lambda texts: tuple(map(box_of, texts)),
     "period": period_seconds,
 }

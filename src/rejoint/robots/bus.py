@@ -231,9 +231,6 @@ class Link:
                 error = broken
             else:
                 return
-        self._reopen(error, deadline)
-
-    def _reopen(self, cause: RobotError, deadline: float) -> None:
         while True:
             try:
                 self._connect()
@@ -241,9 +238,9 @@ class Link:
                 return
             except PowerLostError:
                 raise
-            except RobotError as error:
+            except RobotError as again:
                 if self._bus.clock.now() + REOPEN_PAUSE > deadline:
-                    raise ConnectionLostError(f"{cause}; connecting again failed: {error}") from cause
+                    raise ConnectionLostError(f"{error}; connecting again failed: {again}") from error
                 self._bus.clock.wait(REOPEN_PAUSE)
 
     def _connect(self) -> None:

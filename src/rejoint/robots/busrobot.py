@@ -182,7 +182,11 @@ class BusRobot:
     def read(self) -> JointState:
         """Ask for the joint positions; RobotError."""
         if self._state is None:
-            self._find_questions()
+            for _ in range(len(self._questions)):  # this firmware may not answer all of them
+                try:
+                    self._ask_next()
+                except NoReplyError:
+                    self._questions.pop()  # the one that was asked
         now, reading = self._link.ask(self._read_once)
         self._take(reading)
         servos = self._known
@@ -247,14 +251,6 @@ class BusRobot:
     def relay(self, command: int, payload: bytes) -> bytes | None:
         """Ask another device, see `Bus.relay`."""
         return self._link.ask(lambda: self.bus.relay(command, payload))
-
-    def _find_questions(self) -> None:
-        """Keep the questions for vitals that this firmware answers."""
-        for _ in range(len(self._questions)):
-            try:
-                self._ask_next()
-            except NoReplyError:
-                self._questions.pop()  # the one that was asked
 
     def _ask_next(self) -> None:
         began, question = self._clock.now(), self._questions.pop(0)

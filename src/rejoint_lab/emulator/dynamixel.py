@@ -275,7 +275,11 @@ class XArm(ServoArm[XServo]):
                 servo["Goal_Position"] = servo.position(int(servo.status["position"]))
                 servo["Goal_Velocity"] = 0
                 self.settle(servo)
-            self._alarm(servo)
+            servo.status["alarms"] |= self.alarms_of(servo)
+            if servo.status["alarms"] & servo["Shutdown"]:  # it stays without torque
+                servo.setting["torque_on"] = 0
+            if not servo.setting["torque_on"]:
+                servo["Torque_Enable"] = 0
 
     def restart(self, servo: XServo) -> None:
         """Cycle the power of a servo, or reboot it."""
@@ -339,14 +343,6 @@ class XArm(ServoArm[XServo]):
                 "Moving_Status": arrived | moving << 1,
             }
         )
-
-    def _alarm(self, servo: XServo) -> None:
-        """Let an error trip the servo, which stays without torque."""
-        servo.status["alarms"] |= self.alarms_of(servo)
-        if servo.status["alarms"] & servo["Shutdown"]:
-            servo.setting["torque_on"] = 0
-        if not servo.setting["torque_on"]:
-            servo["Torque_Enable"] = 0
 
     # --- the wire ---------------------------------------------------------------------------
 

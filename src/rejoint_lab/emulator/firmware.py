@@ -132,7 +132,11 @@ class Firmware(EmulatedArm, Computer):
             if interpolating or not self.enabled.all():
                 self.motion.place(~self.enabled, self.angles[~self.enabled])
                 self.outbox = [_Write(self._clock_ms, self.motion.reference + self.zero, FULL_SPEED)]
-            self._deliver()
+            arrived = [write for write in self.outbox if write.due_ms <= self._clock_ms]
+            self.outbox = [write for write in self.outbox if write.due_ms > self._clock_ms]
+            if arrived:
+                self.plant.set_speed_limit(arrived[-1].speed)
+                self.plant.command(arrived[-1].goal[None])
             self.plant.advance(step * 1e-3)
             self._clock_ms += step
             left -= step
@@ -149,10 +153,3 @@ class Firmware(EmulatedArm, Computer):
         target = (self.motion.reference if goal is None else goal) + self.zero
         self.outbox.append(_Write(due_ms, target, speed))
         del self.outbox[:-MAX_WRITES]
-
-    def _deliver(self) -> None:
-        arrived = [write for write in self.outbox if write.due_ms <= self._clock_ms]
-        self.outbox = [write for write in self.outbox if write.due_ms > self._clock_ms]
-        if arrived:
-            self.plant.set_speed_limit(arrived[-1].speed)
-            self.plant.command(arrived[-1].goal[None])

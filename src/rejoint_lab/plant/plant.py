@@ -122,8 +122,11 @@ class Plant:
         self, payload: Array | float = 0.0, bodies: Sequence[Arm] | None = None, gravity: Array = GRAVITY
     ) -> None:
         """Take a ``payload`` (B,) [kg] at the TCP, true ``bodies`` (B,), ``gravity`` (3,) [m/s^2] in the base frame."""
-        self._pull = np.asarray(gravity, dtype=float)
-        self._carried = _loaded(self.arm, np.broadcast_to(np.asarray(payload, float), self.count), bodies)
+        self._pull, loads = np.asarray(gravity, dtype=float), np.broadcast_to(payload, self.count)
+        self._carried = dict(enumerate(bodies or ()))  # arms that differ
+        for i in np.flatnonzero(loads > 0.0).tolist():
+            true = self._carried.get(i, self.arm)
+            self._carried[i] = replace(true, **heavier(true, float(loads[i]), true.tip[:3, 3]))
 
     def _equip(self) -> None:
         """Add servos with a firmware of their own."""
@@ -194,7 +197,7 @@ class Plant:
         """Send ``position`` (B, n) [rad]; it arrives after ``delay`` (B,) [s]."""
         position = self._checked(position)
         due = self._tick + np.ceil(np.asarray(delay) / servo.STEP - 1e-9).astype(np.int64)
-        for i in self._selected(where):
+        for i in range(self.count) if where is None else np.flatnonzero(where):
             slot = int(np.argmax(self._due[i]))
             if self._due[i, slot] != servo.NEVER:
                 raise InputError(f"arm {i}: more than {servo.QUEUE} commands on their way")
@@ -277,23 +280,11 @@ class Plant:
                 values[i] = getattr(body, name)
         self.batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
 
-    def _selected(self, where: Mask | None) -> Ids:
-        return np.arange(self.count) if where is None else np.flatnonzero(where)
-
     def _checked(self, position: Array) -> Array:
         position = np.asarray(position, dtype=float)
         if position.shape != (self.count, self.arm.joints) or not np.isfinite(position).all():
             raise InputError(f"expected finite joint positions of shape {(self.count, self.arm.joints)} [rad]")
         return position
-
-
-def _loaded(arm: Arm, payload: Array, bodies: Sequence[Arm] | None) -> dict[int, Arm]:
-    """Arms that differ: ``bodies``, and those with a ``payload`` (B,) [kg]."""
-    carried = {} if bodies is None else dict(enumerate(bodies))
-    for i in np.flatnonzero(payload > 0.0).tolist():
-        true = carried.get(i, arm)
-        carried[i] = replace(true, **heavier(true, float(payload[i]), true.tip[:3, 3]))
-    return carried
 
 
 def joint_records(arm: Arm, wear: Wear) -> NDArray[np.void]:

@@ -286,21 +286,18 @@ class TrialRunner:
     def _to_rest(self, robot: Robot) -> None:
         if self._sent is None:
             motion = begin(robot, self.limits, self.stance)
-            self._check_period(robot, motion.usual_period())
+            for name in self._left():
+                try:
+                    controller = self.controllers[name](robot.arm)
+                    check_controller_period(controller, motion.usual_period())
+                    require_gains(robot, controller)
+                except ContractError as error:
+                    if not self.settings.leave_out or len(self._left()) == 1:
+                        raise
+                    self._out[name] = f"did not take part: {error}"
         else:
             motion = move(robot, robot.arm.rest, sent=self._sent, limits=self.limits)
         self._sent = motion.command[-1]
-
-    def _check_period(self, robot: Robot, period: float) -> None:
-        for name in self._left():
-            try:
-                controller = self.controllers[name](robot.arm)
-                check_controller_period(controller, period)
-                require_gains(robot, controller)
-            except ContractError as error:
-                if not self.settings.leave_out or len(self._left()) == 1:
-                    raise
-                self._out[name] = f"did not take part: {error}"
 
     # --- a trial ------------------------------------------------------------------------------
 

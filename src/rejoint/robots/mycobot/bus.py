@@ -139,7 +139,7 @@ class MyCobotBus(Bus):
 
     def vitals(self) -> tuple[Callable[[], Vitals], ...]:
         """Temperatures and faults; older firmware is silent."""
-        return self._temperatures, self._faults
+        return lambda: Vitals(temperature=_numbers(self.ask("get_servo_temps"), "temperatures")), self._faults
 
     def send(self, goal: Array) -> None:
         """Send joint positions, clipped to the client's limits."""
@@ -190,9 +190,6 @@ class MyCobotBus(Bus):
         client, self._client = self._client, None
         if client is not None:
             client.close()
-
-    def _temperatures(self) -> Vitals:
-        return Vitals(temperature=_numbers(self.ask("get_servo_temps"), "temperatures"))
 
     def _faults(self) -> Vitals:
         reply = self.ask("get_servo_status")
