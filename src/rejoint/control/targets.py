@@ -201,10 +201,6 @@ def draw_targets(arm: Arm, *, sets: int, count: int = 10, seed: int = 0) -> Arra
     """Draw (sets, count, 3) [m] targets in the arm's region; more sets keep the first ones."""
     if sets < 1 or count < 1:
         raise InputError(f"targets: expected at least 1 set of at least 1, got {sets} of {count}")
-    if arm.targets.is_point:
-        raise InputError(
-            f"targets: the arm {arm.name} has no region to draw them from; give some, or give it `targets`"
-        )
     seeds = np.random.SeedSequence(seed)
     return np.stack([draw_set(arm, np.random.default_rng(stream), count) for stream in seeds.spawn(sets)])
 

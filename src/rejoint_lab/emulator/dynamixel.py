@@ -92,7 +92,7 @@ _RESET_BY_MODE = (
 class XServo(Registers):
     """Registers of one servo, mounted ``mirrored`` with the count ``mount`` at the joint's zero."""
 
-    def __init__(self, model: str, number: int, *, mirrored: bool = False, mount: int = COUNTS // 2) -> None:
+    def __init__(self, model: str, number: int, *, mirrored: bool, mount: int) -> None:
         super().__init__(registers_of(xseries.TABLE, model), SIZE, number)
         self.model, self.mount, self._turn = model, mount, -1 if mirrored else 1
         self.base = 0
@@ -116,8 +116,7 @@ class XServo(Registers):
 
     def position(self, count: int) -> int:
         """Present position at a joint's ``count`` from its zero."""
-        reverse = -1 if self["Drive_Mode"] & 1 else 1
-        return self.sign * count + reverse * self.mount + self.base + self._homing
+        return self.sign * (count + self._turn * self.mount) + self.base + self._homing
 
     def count(self, position: int) -> int:
         """Inverse of `position`."""

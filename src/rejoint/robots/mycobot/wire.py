@@ -62,8 +62,8 @@ def pack_coords(pose: Array) -> bytes:
 
 
 def unpack_coords(payload: bytes) -> Array:
-    """Position [m] and zyx Euler angles [rad], (6,)."""
-    return unpack_int16(payload) / _POSE_SCALE
+    """Inverse of `pack_coords`."""
+    return to_pose(unpack_int16(payload) / _POSE_SCALE)
 
 
 def pack_encoders(angles: Array, step: float) -> bytes:
@@ -327,7 +327,7 @@ class Computer(ABC):
 
     def is_there(self, place: bytes, is_pose: int) -> bool:
         """Whether the arm has come to a pose, or to angles."""
-        return self.is_at(to_pose(unpack_coords(place)) if is_pose else unpack_angles(place))
+        return self.is_at(unpack_coords(place) if is_pose else unpack_angles(place))
 
     def encoder(self, joint: int | None) -> bytes:
         """Return the encoder count of a joint; -1: no gripper."""
@@ -360,7 +360,7 @@ class Computer(ABC):
 
     def _posture(self, pose: Array, start: Array, *, turned: bool) -> Array | None:  # noqa: ARG002 - always turned here
         """Return a posture (n,) [rad] for a pose (4, 4), or None."""
-        return solve_pose(self.arm, pose, start)
+        return self.posture(pose, start)
 
     def _is_clear(self, angles: Array) -> bool:  # noqa: ARG002 - the vendor's computer does not look
         """Whether ``angles`` (n,) [rad] are clear; else sets an error code."""
@@ -402,7 +402,7 @@ def read_part(computer: Computer, part: str, data: bytes) -> Any:  # noqa: ANN40
         case "w":
             found = unpack_int16(data)
         case "P":
-            return to_pose(unpack_coords(data))
+            return unpack_coords(data)
         case _:
             return data
     return found if part.isupper() else found[0]
