@@ -193,8 +193,8 @@ def guard(
     the clear part of the command's difference from them remains.
     """
     count, joints = command.shape
-    asked, times, out = np.empty((count, 4, joints)), np.empty((2, count)), np.empty((2, count, joints))
-    asked[:, 0], asked[:, 1], asked[:, 2], asked[:, 3] = command, sent, speed, state.position
+    asked = np.stack([command, sent, speed, state.position], axis=1)
+    times, out = np.empty((2, count)), np.empty((2, count, joints))
     times[0], times[1] = state.age, period
     reasons, about = servo_trips(state), (chain_of(limits.arm), limits.shape, limits.rules)
     compiled.guard(*about, asked, times, reasons, out)

@@ -117,9 +117,8 @@ class Following:
         self._last = state.time.copy()
         if goal is not None:
             self._fall(state.position, sent, goal)
-        bad = (self._verdict == compiled.OVERDUE) | self.falling
         travelled, more = self._travelled(state.position, sent)
-        bad = bad | (travelled & aimed[:, None])
+        bad = (self._verdict == compiled.OVERDUE) | self.falling | (travelled & aimed[:, None])
         late = (self._tracks["late"] > 0) | more
         return bad & ~self._excused(bad, late)[:, None]
 

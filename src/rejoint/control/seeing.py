@@ -111,7 +111,7 @@ class Seen(Modelled):
             return None
         self._last = seen.time
         times, positions = map(np.array, zip(*self.readings, strict=True))
-        then = interpolated(np.array(seen.time), times, positions)
+        then = interpolated(seen.time, times, positions)
         place = tcp_position(self.arm, then)
         away = norm(self._aim - place)
         unknown = seen.place - place - self.shift(then)
@@ -273,7 +273,7 @@ class Finishing:
 
     def _fine(self, inputs: ControlInput, missing: Array) -> Array:
         now, position = inputs.state.time[0], inputs.state.position[0]
-        jacobian = position_kinematics(self._arm, position[None])[1][0]
+        jacobian = position_kinematics(self._arm, position)[1]
         if self._renew:
             self._moving, self._renew = self._choose(jacobian), False
         motion = clip_norm(dls(jacobian * self._moving, missing, DAMPING), STEP)

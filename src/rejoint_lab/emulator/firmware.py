@@ -98,12 +98,11 @@ class Firmware(EmulatedArm, Computer):
     def enable(self, wanted: Mask) -> None:
         """Hold with the servos in ``wanted`` (n,); release the others."""
         self.motion.hold()
-        self.outbox.clear()
         held = wanted & ~self.enabled
         self.motion.place(held, self.angles[held])
         self.enabled = wanted.copy()
         self.plant.set_power(bool(wanted.any()))
-        self.outbox.append(_Write(self._clock_ms, self.motion.reference + self.zero, FULL_SPEED))
+        self.outbox = [_Write(self._clock_ms, self.motion.reference + self.zero, FULL_SPEED)]
 
     def calibrate(self, joint: int) -> None:
         """Set a joint's zero here."""

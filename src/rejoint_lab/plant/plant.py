@@ -205,8 +205,7 @@ class Plant:
 
     def advance(self, duration: Array | float, where: Mask | None = None) -> None:
         """Advance by ``duration`` (B,) [s], in whole milliseconds."""
-        steps = np.zeros(self.count, np.int64)
-        steps[:] = np.rint(np.asarray(duration) / servo.STEP)
+        steps = np.rint(np.broadcast_to(duration, self.count) / servo.STEP).astype(np.int64)
         if where is not None:
             steps[~where] = 0
         done = 0

@@ -333,7 +333,7 @@ def scale_wear(base: str, arm: Arm) -> Wear:
 
 def draw_wear(wear: Wear, arm: Arm, seed: int) -> Wear:
     """Draw a neighbour within +-30 % that lifts the arm."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    rng = np.random.default_rng(seed)
     factor = {name: rng.uniform(1 - _SPREAD, 1 + _SPREAD, arm.joints) for name in PARAMETERS}
     drawn = {name: getattr(wear, name) * factor[name] for name in PARAMETERS}
     drawn["stiction"] = drawn["coulomb"] + (wear.stiction - wear.coulomb) * factor["stiction"]

@@ -134,8 +134,7 @@ def crossing(error: Array, threshold: float) -> tuple[bool, int]:
 
 def stay_time(since: Array, error: Array, within: float) -> float:
     """Time [s] from which ``error`` (T,) [m] stays below ``within`` [m]; inf: never."""
-    outside = np.flatnonzero(~(error < within))
-    first = outside[-1] + 1 if len(outside) else 0
+    first = np.flatnonzero(~(error < within)).max(initial=-1) + 1
     return float(since[first]) if first < len(since) else np.inf
 
 

@@ -27,7 +27,7 @@ from rejoint.control.controllers.feedforward import Commander, CommandLaw
 from rejoint.control.controllers.observation import Layout, Observation, Observer, Slot, layout_slots
 from rejoint.control.robot import ControlInput
 from rejoint.system.errors import ContractError, FileError, InputError, first_line
-from rejoint.system.files import MEGABYTE, read_bounded, reading, write_bytes
+from rejoint.system.files import MEGABYTE, digest, read_bounded, reading, write_bytes
 from rejoint.system.records import Readable, entity, value_type
 from rejoint.system.shell import Late
 
@@ -100,7 +100,7 @@ def law_digests(arm: Arm) -> dict[str, str]:
         "targets": np.stack([arm.targets.lower, arm.targets.upper]),
     }
     rounded = {name: np.round(array, 9) + 0.0 for name, array in read.items()}  # + 0.0 turns -0.0 into 0.0
-    return {name: hashlib.sha256(array.astype("<f8").tobytes()).hexdigest()[:16] for name, array in rounded.items()}
+    return {name: digest(array.astype("<f8").tobytes()) for name, array in rounded.items()}
 
 
 def encode_contract(contract: PolicyContract) -> str:

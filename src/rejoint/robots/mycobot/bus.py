@@ -250,7 +250,7 @@ def wire_angles(position: Array) -> list[float]:
     """Degrees (n,) for the truncating client, within limits."""
     hundredths = np.round(np.degrees(position) * 100.0)
     degrees = (hundredths + 0.25 * np.sign(hundredths)) / 100.0
-    return [float(value) for value in np.clip(degrees, LOWEST_DEG, HIGHEST_DEG)]
+    return np.clip(degrees, LOWEST_DEG, HIGHEST_DEG).tolist()
 
 
 def _numbers(reply: object, what: str) -> Array:

@@ -4,7 +4,6 @@ Intervals resample whole arms. Calibrations take part like controllers. Along mo
 and identified; the twins are kept.
 """
 
-import hashlib
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
@@ -49,7 +48,7 @@ from rejoint.pages.report.tables import ResultColumns, plain_table, result_colum
 from rejoint.pages.words import MM, Cell, measured, number
 from rejoint.session.context import believed_motors
 from rejoint.system.errors import InputError
-from rejoint.system.files import write_json
+from rejoint.system.files import digest, write_json
 from rejoint.system.progress import Progress, part
 from rejoint.system.records import value_type
 from rejoint.system.shell import __version__
@@ -130,7 +129,7 @@ def learned(path: Path, arm: Arm) -> Contestant:
 
 
 def _digest(*files: Path) -> str:
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+    return digest(b"".join(file.read_bytes() for file in files))
 
 
 def group_of(name: str) -> str:
