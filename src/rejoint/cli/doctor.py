@@ -44,13 +44,13 @@ TRIED = 7.3
 class Surroundings:
     """What is looked at: this computer, and what of robot, run and camera was named."""
 
-    robot: str | None = None
-    run: Path | None = None
-    camera: int | None = None
+    robot: str | None
+    run: Path | None
+    camera: int | None
     stack: ExitStack = field(default_factory=ExitStack)
     """closes what was opened"""
     opened: Robot | None = None
-    arm: Arm | None = None
+    arm: Arm | None
 
     @property
     def place(self) -> Place[object] | None:

@@ -76,9 +76,9 @@ class MoveEnd(NamedTuple):
     """[rad] of the joint that is farthest away"""
     after: float
     """[s] from the end of the planned way"""
-    held_back: str = ""
+    held_back: str
     """what the guard kept it from, or empty"""
-    short: str = ""
+    short: str
     """which joint stands off its goal, in words, or empty"""
 
 

@@ -198,11 +198,10 @@ PERIOD = (0.02, 0.03)
 def copied(run: Run) -> Iterator[Run]:
     """Return a temporary copy of a run."""
     with TemporaryDirectory(prefix="rejoint-dry-run-") as folder:
-        path = Path(folder)
         if run.path.is_dir():
             left_out = shutil.ignore_patterns(".lock", "pictures", "training", "figures")
-            shutil.copytree(run.path, path, ignore=left_out, dirs_exist_ok=True)
-        yield replace(run, folder=RunFolder(path))
+            shutil.copytree(run.path, folder, ignore=left_out, dirs_exist_ok=True)
+        yield replace(run, folder=RunFolder(Path(folder)))
 
 
 class RehearsedRobot(WatchedRobot):
@@ -258,7 +257,7 @@ class RehearsedRobot(WatchedRobot):
 
 CALM = 0.3
 """[s] at the goal (chosen)"""
-RESTS, JITTER = 0.8, float(np.radians(0.3))
+RESTS, JITTER = 0.8, np.radians(0.3)
 """[s] from the last new joint goal to rest, and [rad] jitter of a resting hand (chosen)"""
 
 
@@ -314,7 +313,7 @@ class GoalStream(Reference):
         aim = self.apparent.measured(self._mean if rested else goal)
         reach = self.apparent.arm.max_speed * elapsed
         self._posture = self._posture + np.clip(aim - self._posture, -reach, reach)
-        arrived = rested and bool((self._posture == aim).all())
+        arrived = rested and (self._posture == aim).all()
         if arrived:
             self.reached = goal
         return replace(now, goal=self._posture[None], arrived=np.array([arrived]))
@@ -447,11 +446,11 @@ class ArmDriver:
         found = as_calibration(given, run, self.arm)
         if found is None:
             return None
-        own = given is not None or run is None or is_own(run, self.address)
-        same = given is not None or found.zeros == zeros_of(self.address)
         why = "" if found.used else "it did not clearly help"
-        why = why if same else "the zeros of the joints are others than then; calibrate again"
-        why = why if own else f"it is not of {self.address}"
+        if given is None and found.zeros != zeros_of(self.address):
+            why = "the zeros of the joints are others than then; calibrate again"
+        if given is None and run is not None and not is_own(run, self.address):
+            why = f"it is not of {self.address}"
         if not why:
             return found
         known = self._named.folder.calibration if self._named else "the calibration"

@@ -117,9 +117,7 @@ def as_logs(given: LogsLike) -> list[RunLog]:
             return found
         raise InputError(f"no run logs were given, expected at least one, got {given!r:.80}")
     path = Path(given)
-    if path.is_file():
-        return [RunLog.load(path)]
-    files = sorted(path.glob("*.parquet"))
+    files = [path] if path.is_file() else sorted(path.glob("*.parquet"))
     if not files:
         there = f"no folder with run logs (.parquet): {describe(path) if path.exists() else 'nothing there'}"
         raise FileError(path, there, "make one with: rejoint import SOURCE FOLDER")

@@ -45,7 +45,7 @@ WITHIN_JOINT = radians(0.5)
 """[rad] within which joint positions are reached (chosen)"""
 EVERY_JOINT = PostureGains(weak=np.inf, close=1e-4, lead=radians(19.5))
 """Joint positions without a place: every joint is brought close (measured)"""
-TURNS = 2.0 * np.pi
+TURNS = 4.0 * np.pi
 """[rad] beyond which a joint position is not in radians"""
 ANGLE = "a positive angle in radians"
 STARTING = 5.0
@@ -68,11 +68,11 @@ class ArmState(Readable):
     """(3,) tool centre point: by the calibration, else by the encoders"""
     moving: bool
     """whether a motion is under way; a stream: until it rests"""
-    target_m: Array | None = None
+    target_m: Array | None
     """(3,) last target; None before the first cycle"""
-    error_m: float | None = None
+    error_m: float | None
     """of the tool from where it was sent, by the encoders"""
-    turned_rad: float | None = None
+    turned_rad: float | None
     """orientation error by the encoders; None for points"""
 
 
@@ -172,7 +172,7 @@ class ArmSession(ArmDriver):
 
         ``motors`` are by default those of now, for which the robot is opened.
         """
-        motors, start = motors or self.motors, self.arm.rest if not self._rested else self.state.joints_rad
+        motors, start = motors or self.motors, self.state.joints_rad if self._rested else self.arm.rest
         found = choose_postures(self.arm, targets, start, turn=turns, motors=motors, chained=True)
         for k, why in enumerate(found.refusals):
             if why:
@@ -272,7 +272,7 @@ class ArmSession(ArmDriver):
         goal = as_floats(who, given, f"{self.arm.joints} joint positions in radians")
         if goal.shape != (self.arm.joints,) or not np.isfinite(goal).all():
             raise InputError(f"{who}: expected {self.arm.joints} joint positions in radians, got {given!r}")
-        if np.abs(goal).max() > 2.0 * TURNS:
+        if np.abs(goal).max() > TURNS:
             raise InputError(f"{who}: joint positions {given!r} are beyond two turns; give radians")
         return goal
 

@@ -302,15 +302,15 @@ class Campaign:
         if one.held and problem == HELD:
             one.end, one.why = "left", f"held during {step}; {self._refused(work)}".rstrip("; ")
             return
-        one.left, one.code, one.trace = self.left(one.arm), ROBOT, outcome.trace
+        one.left, one.trace = self.left(one.arm), outcome.trace
         if problem:
             one.why = f"{step}: {problem}"
             one.code = outcome.code if outcome.code in _ORDER else ROBOT  # held, since the call had ended
         elif step in one.left[:1]:
             one.why = f"{step} ended, but left no file in {work.folder}: can all computers reach that folder?"
+            one.code = ROBOT
         else:
             one.steps.append((step, outcome.seconds))
-            one.code = PARTLY
             return
         one.end = "failed"
 

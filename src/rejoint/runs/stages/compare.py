@@ -148,8 +148,9 @@ class ComparisonJob:
     def runner(self, factories: Mapping[str, Factory], opened: OpenRobot | None = None, **hooks: Any) -> TrialRunner:  # noqa: ANN401
         """Runner of the trials of some controllers; ``hooks`` are further fields of it."""
         limits = guard_limits(self.run, self.arm, address_of(self.robot))  # not sent: compiled code asks for read-only
-        about = {"limits": limits, **self.trials, **hooks}
-        return TrialRunner(opened or self._open, factories, self.targets, self.settings, **about)
+        return TrialRunner(
+            opened or self._open, factories, self.targets, self.settings, limits=limits, **self.trials, **hooks
+        )
 
     def runner_of(self, name: str) -> TrialRunner:
         """Runner of a named controller's trials, in another process."""
