@@ -56,7 +56,6 @@ class EmulatedRobot(TunedServos):
         idle = Channel()
         latency, age = options.pop("command_latency", idle.latency), options.pop("readback_age", idle.age)
         self._channel = Channel(latency, age, period)
-        first = options.get("first", 0)
         self.plant = plant_of(arm)(arm, wears, seed=seed, **options)
         super().__init__(dynamixel.KIND if isinstance(self.plant, XPlant) else feetech.KIND, arm.joint_names, {})
         if gains:
@@ -64,7 +63,7 @@ class EmulatedRobot(TunedServos):
         for name, values in self.kind.for_all(gains or {}, arm.joints).items():
             self.write_gain(name, values)
         self.gains = self.read_gains()
-        self._keys = stream_keys(seed, len(wears), first=first, purpose=_CHANNEL_PURPOSE)
+        self._keys = stream_keys(seed, len(wears), first=options.get("first", 0), purpose=_CHANNEL_PURPOSE)
         self._cycle = np.zeros(len(wears), np.int64)
         self.restart(arm.rest if start is None else start)
 

@@ -121,7 +121,7 @@ RULES = types.NamedTuple((*[IN1] * 5, int64), Rules)
 
 TOLERANCE = 1e-9
 """[m] rounding of the kinematics: a joint that cannot move must not look sinking"""
-FOLLOWS = float(np.radians(1.0))
+FOLLOWS = np.radians(1.0)
 """[rad] off the last command within which an arm follows (chosen)"""
 APPROACH, CLOSING, WATCHED, SHORTEST = 1e-6, 0.25, 0.03, 0.1
 """[m] by which a step may always bring measured bodies nearer; share of the rest to the least distance that it may

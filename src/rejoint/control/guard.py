@@ -37,13 +37,13 @@ MARGIN = np.radians(0.5)
 """[rad] inside the joint limits (chosen)"""
 RAMP = 0.018
 """[s] to full speed (chosen: the shortest trained period)"""
-MAX_LEAD = float(np.radians(20.0))
+MAX_LEAD = np.radians(20.0)
 """[rad] largest following error (chosen: twice a worn arm's sag)"""
 MAX_PERIOD, MAX_AGE = 0.1, 0.5
 """[s] longest counted cycle (chosen), and age of a reading (chosen: ten periods of the slowest wire)"""
 MAX_TEMPERATURE = 65.0
 """[deg C] (chosen: 5 below the usual 70)"""
-RANGE_MARGIN = float(np.radians(10.0))
+RANGE_MARGIN = np.radians(10.0)
 """[rad] of readings outside the limits (chosen)"""
 
 

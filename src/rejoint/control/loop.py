@@ -457,7 +457,7 @@ def trip_error(b: int, run_state: RunState) -> GuardTripError:
 
 def say_hot(names: tuple[str, ...], temperature: Array, limit: float) -> str:
     """Name the hottest joint at ``temperature`` (n,) [deg C]."""
-    hot = int(np.argmax(temperature))
+    hot = temperature.argmax()
     return f"{names[hot]} is at {temperature[hot]:.0f} deg C, limit {limit:.0f}; support the arm and switch it off"
 
 

@@ -295,7 +295,7 @@ class TargetSequence(Reference):
         duration = np.array([way.duration for way in ways])
         moving = since < duration
         if moving.any():
-            goal, target, rows = goal.copy(), target.copy(), np.flatnonzero(moving).tolist()
+            goal, target, rows = goal.copy(), target.copy(), np.flatnonzero(moving)
             leads = np.zeros_like(goal)
             for b in rows:
                 way, gone = ways[b], max(since[b], 0.0)

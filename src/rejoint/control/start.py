@@ -142,7 +142,7 @@ def _beyond(arm: Arm, state: JointState) -> Mask:
 def _problem(arm: Arm, first: JointState, state: JointState) -> str:
     away = np.abs(state.position - first.position).max(axis=0)
     if away.max() > STILL:
-        name = arm.joint_names[int(np.argmax(away))]
+        name = arm.joint_names[away.argmax()]
         return f"{name} is moving by itself; wait until the arm rests, and end what else drives it"
     beyond = np.argwhere(_beyond(arm, state))
     if len(beyond):

@@ -55,7 +55,7 @@ from rejoint.system.errors import AddressError, ContractError, FileError, InputE
 from rejoint.twin.parameters import back_emf, lifting_torque
 from rejoint.twin.twin import Twin
 
-STILL, STOOD = 0.4, float(np.radians(1.0))
+STILL, STOOD = 0.4, np.radians(1.0)
 """[s] at the end of a visit, and [rad] that joints of a standing arm move in them (chosen)"""
 ALONE, LEAST = 0.08, 0.013
 """[kg] of a myCobot 280: standard error of one posture's estimate (measured), and of many (chosen)"""

@@ -198,7 +198,7 @@ class Plant:
         position = self._checked(position)
         due = self._tick + np.ceil(np.asarray(delay) / servo.STEP - 1e-9).astype(np.int64)
         for i in range(self.count) if where is None else np.flatnonzero(where):
-            slot = int(np.argmax(self._due[i]))
+            slot = self._due[i].argmax()
             if self._due[i, slot] != servo.NEVER:
                 raise InputError(f"arm {i}: more than {servo.QUEUE} commands on their way")
             self._due[i, slot], self._queue[i, slot] = due[i], position[i]

@@ -145,7 +145,7 @@ def along(time: Array, tool: Array, at: Array, places: Array) -> Along:
     """Compare the ``tool`` (T, 3) [m] at ``time`` (T,) [s] with ``places`` (K, 3) [m] at ``at`` (K,) [s]."""
     errors = [norm(tool - interpolated(time - lag, at, places), axis=-1) for lag in _LAGS]
     sizes = [rms(error) for error in errors]
-    best = int(np.argmin(sizes))
+    best = np.argmin(sizes)
     return Along(
         rms=sizes[0],
         largest=float(errors[0].max()),

@@ -110,7 +110,7 @@ _JOG_TURN = np.radians(175.0)
 
 NO_SOLUTION, NO_LINE, COLLISION = 32, 33, 16
 """Error codes of the vendor's ``get_error_information``; 1..6: joint over its limit; 16: any contact"""
-ARRIVED_ANGLE, ARRIVED_LENGTH = float(np.radians(1.0)), 0.003
+ARRIVED_ANGLE, ARRIVED_LENGTH = np.radians(1.0), 0.003
 """[rad], [m] (chosen)"""
 
 
@@ -303,7 +303,7 @@ class Computer(ABC):
 
     def set_limit(self, upper: bool, joint: int, word: float) -> bool:
         """Set a limit of a joint within the arm's own."""
-        angle, slack = float(np.radians(word / LIMIT_SCALE)), 1e-9
+        angle, slack = np.radians(word / LIMIT_SCALE), 1e-9
         lower, higher = (self.lower[joint], angle) if upper else (angle, self.upper[joint])
         if lower >= higher or lower < self.arm.lower[joint] - slack or higher > self.arm.upper[joint] + slack:
             return False
