@@ -425,21 +425,18 @@ class Gripper:
             if self.goal is None or self.goal == self._sent:
                 self._read()
             else:
-                self._send(self.goal)
+                bus, servo = self._bus, self._servo
+                if self._sent is None:
+                    if "force" in bus.table:
+                        bus.set(servo, "force", SOFT)
+                    if not bus.get(servo, "torque"):
+                        bus.set(servo, "goal", bus.get(servo, "position"))
+                        bus.set(servo, "torque", 1)
+                bus.set(servo, "goal", round(np.interp(self.goal, (0.0, 100.0), self._counts)))
+                self._sent = self.goal
             self._silent = 0
         except RobotError:
             self._silent += 1
 
     def _read(self) -> None:
         self.opened = float(np.interp(self._bus.get(self._servo, "position"), self._counts, (0.0, 100.0)))
-
-    def _send(self, goal: float) -> None:
-        bus, servo = self._bus, self._servo
-        if self._sent is None:
-            if "force" in bus.table:
-                bus.set(servo, "force", SOFT)
-            if not bus.get(servo, "torque"):
-                bus.set(servo, "goal", bus.get(servo, "position"))
-                bus.set(servo, "torque", 1)
-        bus.set(servo, "goal", round(np.interp(goal, (0.0, 100.0), self._counts)))
-        self._sent = goal

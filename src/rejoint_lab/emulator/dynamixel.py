@@ -230,24 +230,20 @@ class XArm(ServoArm[XServo]):
     bulk = frozenset({BULK_READ, BULK_WRITE, FAST_BULK_READ})
 
     def _fit(self, records: list[tuple[Any, Any]]) -> None:
-        for joint, described in enumerate((*self.arm.servos, self.gripper_model(self.arm))):
+        fitting = FITTINGS[self.arm.name]
+        for joint, described in enumerate((*self.arm.servos, fitting.gripper)):
             model, count, gains = xseries.drive_of(described)
             for k in range(count):
-                servo = self._fitted(model, FITTINGS[self.arm.name], k)
+                number = fitting.first + len(self.servos)
+                homing = fitting.homing[len(self.servos)] if fitting.homing else 0
+                servo = XServo(model, number, mirrored=number in fitting.reverse, mount=_MIDDLE - homing)
+                servo.update({"Baud_Rate": 3, "Return_Delay_Time": 0, "Drive_Mode": number in fitting.reverse})
+                servo.update({"Operating_Mode": fitting.mode, "Homing_Offset": homing})
+                if k:
+                    servo["Secondary_ID"] = number - k
                 servo.joint, (servo.setting, servo.status) = joint, (record[k] for record in records[joint])
                 self.servos.append(servo)
                 self._prepare(servo, gains)
-
-    def _fitted(self, model: str, fitting: Fitting, k: int) -> XServo:
-        """Return the next servo, the ``k``-th of its joint, as it is built in."""
-        number = fitting.first + len(self.servos)
-        homing = fitting.homing[len(self.servos)] if fitting.homing else 0
-        servo = XServo(model, number, mirrored=number in fitting.reverse, mount=_MIDDLE - homing)
-        servo.update({"Baud_Rate": 3, "Return_Delay_Time": 0, "Drive_Mode": number in fitting.reverse})
-        servo.update({"Operating_Mode": fitting.mode, "Homing_Offset": homing})
-        if k:
-            servo["Secondary_ID"] = number - k
-        return servo
 
     def _prepare(self, servo: XServo, gains: dict[str, int]) -> None:
         """Let a servo hold, with the limits of its joint."""

@@ -118,7 +118,10 @@ class StsArm(ServoArm[Servo]):
     rates = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 
     def _fit(self, records: list[tuple[Any, Any]]) -> None:
-        for joint, (record, homing, limits) in enumerate(zip(records, HOMING, self._ranges(), strict=True)):
+        pairs = [*zip(self.arm.lower, self.arm.upper, strict=True), self.jaw]
+        ends = (MIDDLE + np.rint(np.array(pairs) / self.arm.encoder_step)).astype(int).tolist()
+        ends[-2] = 0, COUNTS - 1  # as LeRobot's calibration says: the wrist may turn fully
+        for joint, (record, homing, limits) in enumerate(zip(records, HOMING, ends, strict=True)):
             servo = Servo(joint + 1)
             self.servos.append(servo)
             servo.joint, (servo.setting, servo.status) = joint, record
@@ -166,15 +169,6 @@ class StsArm(ServoArm[Servo]):
                 "Torque_Enable": setting["torque_on"],  # over-current switches it off
             }
         )
-
-    def _ranges(self) -> list[tuple[int, int]]:
-        """Limits [counts] of LeRobot's calibration: a full turn for the wrist."""
-        pairs = [*zip(self.arm.lower, self.arm.upper, strict=True), self.jaw]
-        ends = [
-            (MIDDLE + round(a / self.arm.encoder_step), MIDDLE + round(b / self.arm.encoder_step)) for a, b in pairs
-        ]
-        ends[-2] = (0, COUNTS - 1)
-        return ends
 
     # --- the wire ---------------------------------------------------------------------------
 

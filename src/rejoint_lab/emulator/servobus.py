@@ -165,6 +165,7 @@ class ServoArm(EmulatedArm, Generic[S]):
     """for the answer of each ID to a ping of all; [s]"""
 
     plant: Any
+    gripper: Any
     servos: list[S]
     heard = 0.0
     """[s] of the clock at the last packet"""
@@ -174,7 +175,18 @@ class ServoArm(EmulatedArm, Generic[S]):
     def __init__(self, arm: Arm, wear: Wear, *, seed: int = 0, **truth: Any) -> None:  # noqa: ANN401
         """Put the arm at rest; ``truth`` as of `Plant`."""
         super().__init__(arm, wear, seed=seed, **truth)
-        self.gripper = self._lone_gripper(wear, seed)
+        own = ("joint_names", "offset", "axis", "max_speed", "mass", "com", "inertia")
+        lower, upper = np.array(self.jaw)[:, None]
+        hinge = replace(
+            arm,
+            **{name: getattr(arm, name)[-1:] for name in own},
+            lower=lower,
+            upper=upper,
+            rest=np.zeros(1),
+            servos=(self.gripper_model(arm),),
+        )
+        worn = replace(wear, offset=0.0, **{name: getattr(wear, name)[-1:] for name in PARAMETERS})
+        self.gripper = self.kind(hinge, [worn], seed=seed, gravity=np.zeros(3))  # worn as the last joint
         self._owed = 0.0
         self.clock = 0.0
         """[s]"""
@@ -182,21 +194,6 @@ class ServoArm(EmulatedArm, Generic[S]):
         plants = self.plant, self.gripper
         self._fit([record for plant in plants for record in zip(plant.settings[0], plant.status[0], strict=True)])
         self._nominal = [float(servo.setting["voltage"]) for servo in self.servos]
-
-    def _lone_gripper(self, wear: Wear, seed: int) -> Any:  # noqa: ANN401
-        """Return the plant of the gripper's servo, worn as the last joint's."""
-        own = ("joint_names", "offset", "axis", "max_speed", "mass", "com", "inertia")
-        lower, upper = np.array(self.jaw)[:, None]
-        hinge = replace(
-            self.arm,
-            **{name: getattr(self.arm, name)[-1:] for name in own},
-            lower=lower,
-            upper=upper,
-            rest=np.zeros(1),
-            servos=(self.gripper_model(self.arm),),
-        )
-        worn = replace(wear, offset=0.0, **{name: getattr(wear, name)[-1:] for name in PARAMETERS})
-        return self.kind(hinge, [worn], seed=seed, gravity=np.zeros(3))
 
     @abstractmethod
     def _fit(self, records: list[tuple[Any, Any]]) -> None:

@@ -25,7 +25,7 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.classical import Pace, dls_step, limit_position, null_space
 from rejoint.control.controllers.feedforward import NOMINAL_STIFFNESS
 from rejoint.control.loop import run
-from rejoint.control.robot import ControlInput, Controller, JointState
+from rejoint.control.robot import ControlInput, Controller
 from rejoint.system.errors import InputError
 from rejoint.system.files import read_shipped
 from rejoint.system.progress import Progress
@@ -89,7 +89,13 @@ class ScheduledController:
     def command(self, inputs: ControlInput) -> Array:
         """Command (B, n) [rad]."""
         arm, gains, measured = self._arm, self._gains, inputs.state.position
-        elapsed, speed = self._tick(inputs.state)
+        elapsed, position = self._pace.tick(inputs.state.time)[:, None], measured.copy()
+        if len(self._position) != len(position):
+            self._position, self._speed = position, np.zeros_like(position)
+        newest = (position - self._position) / np.where(elapsed > 0.0, elapsed, 1.0)
+        # [rad/s] smoothed over about two cycles
+        self._speed = speed = np.where(elapsed > 0.0, 0.5 * newest + 0.5 * self._speed, self._speed)
+        self._position = position
         seen = dls_step(arm, measured + gains.prediction * speed, inputs.target)
         distance = np.linalg.norm(seen.error, axis=-1, keepdims=True)
         rate = gains.near_rate + (gains.far_rate - gains.near_rate) * distance / (distance + gains.schedule)
@@ -100,16 +106,6 @@ class ScheduledController:
         self._integral = np.clip(self._integral + np.where(on_its_way, 0.0, push), -gains.lead, gains.lead)
         way, reach = self._raised - self._start, gains.ramp * inputs.since_target[:, None]
         return limit_position(arm, self._start + np.clip(way, -reach, reach) + self._integral + passing)
-
-    def _tick(self, state: JointState) -> tuple[Array, Array]:
-        """Time (B, 1) [s] since the last reading, and joint speeds (B, n) [rad/s], smoothed over about two cycles."""
-        elapsed, position = self._pace.tick(state.time)[:, None], state.position.copy()
-        if len(self._position) != len(position):
-            self._position, self._speed = position, np.zeros_like(position)
-        speed = (position - self._position) / np.where(elapsed > 0.0, elapsed, 1.0)
-        self._speed = np.where(elapsed > 0.0, 0.5 * speed + 0.5 * self._speed, self._speed)
-        self._position = position
-        return elapsed, self._speed
 
 
 class Gain(NamedTuple):

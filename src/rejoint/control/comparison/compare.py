@@ -277,10 +277,11 @@ class TrialRunner:
 
     def _judge(self, driven: Driven) -> None:
         name, kind, ((s, r),), _ = driven.key
-        where = f"set {s + 1}, repetition {r + 1}"
+        where, crossed = f"set {s + 1}, repetition {r + 1}", self._in_order("crossed", name)
+        missed = crossed[np.isfinite(crossed)] == 0.0  # NaN: not driven
         if driven.ended:  # by its command: whatever else trips the guard ends the comparison
             self._out[name] = f"gave a command that is not a number ({kind} protocol, {where})"
-        elif missed_in_a_row(self._in_order("crossed", name)):
+        elif (np.convolve(missed, np.ones(MISSES)) == MISSES).any():
             self._out[name] = f"missed {MISSES} targets in a row ({where})"
 
     def _to_rest(self, robot: Robot) -> None:
@@ -365,11 +366,6 @@ class TrialRunner:
 def bad_command(recording: Recording) -> bool:
     """Whether one arm tripped over a command alone that was not a number."""
     return bool((recording.tripped == Reason.NOT_FINITE.value).all() and np.isfinite(recording.position[-1]).all())
-
-
-def missed_in_a_row(crossed: Array) -> bool:
-    """Whether `MISSES` targets in a row of ``crossed`` (N,) were missed; NaN: not driven."""
-    return bool((np.convolve(crossed[np.isfinite(crossed)] == 0.0, np.ones(MISSES)) == MISSES).any())
 
 
 def worse(settled: Mapping[str, Array], tests: int) -> dict[str, str]:

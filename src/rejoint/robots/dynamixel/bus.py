@@ -156,7 +156,11 @@ class DynamixelBus(ServoBus):
                 "is with --arm, or which servos turn each joint with ids= in the address"
             )
         if servo in self.wire.alerts and self.address.reboot and not self._was_ready:
-            self._restart(servo)
+            self.sure(partial(self.wire.reboot, servo))
+            end = self.clock.now() + AWAKE
+            self.clock.wait(RETRY)
+            while not self.answers(servo) and self.clock.now() < end:
+                self.clock.wait(RETRY)
         if servo in self.wire.alerts and not self._was_ready:
             raise RobotError(
                 f"{self.call(servo)} has switched itself off ({trouble(KIND.faults, self.get(servo, 'error'))}); find "
@@ -237,14 +241,18 @@ class DynamixelBus(ServoBus):
         places = self.zeros.radians(counts)
         position = places[self.leads]
         fights = np.abs(places - position[self.joint]) > APART * STEP
-        words = self._named([word or FIGHT * fight for word, fight in zip(self._words, fights.tolist(), strict=True)])
+        words = [word or FIGHT * fight for word, fight in zip(self._words, fights.tolist(), strict=True)]
+        told = tuple(  # of each joint's servos together
+            ", ".join(dict.fromkeys(word for word, of in zip(words, self.joint, strict=True) if word and of == j))
+            for j in range(self.arm.joints)
+        )
         shares = [self.found[self.ids[lead]].share(loads[lead]) for lead in self.leads]
         return Reading(
             position=position,
             load=self._sign * shares,
             voltage=self._volts[self.leads],
-            fault=np.array(words, bool),
-            trouble=tuple(words),
+            fault=np.array(told, bool),
+            trouble=told,
         )
 
     def read_gains(self) -> Values:
@@ -287,20 +295,6 @@ class DynamixelBus(ServoBus):
         self.supply = self.supply or tuple(self._volts)
         self._words = [trouble({}, 0, *seen) for seen in zip(self._volts, self.supply, strict=True)]
         return Vitals(temperature=np.maximum.reduceat(heats, self.leads))
-
-    def _named(self, words: list[str]) -> list[str]:
-        """Join the troubles of each joint's servos."""
-        return [
-            ", ".join(dict.fromkeys(word for word, of in zip(words, self.joint, strict=True) if word and of == j))
-            for j in range(self.arm.joints)
-        ]
-
-    def _restart(self, servo: int) -> None:
-        self.sure(partial(self.wire.reboot, servo))
-        end = self.clock.now() + AWAKE
-        self.clock.wait(RETRY)
-        while not self.answers(servo) and self.clock.now() < end:
-            self.clock.wait(RETRY)
 
 
 def _latency(device: str) -> int:
