@@ -97,7 +97,7 @@ class Following:
             tracks[name][where] = 0
         self._verdict[where] = compiled.FINE
         self._anchor = np.where(where[:, None], state.position, self._anchor)
-        self._last = np.where(where, state.time, self._last)
+        self._last[where] = state.time[where]
         self._sent_at[where] = state.time[where, None]
         self._sent[where] = sent[where, None]
 

@@ -202,7 +202,7 @@ class FeedforwardController:
             self._clear(len(inputs.sent))
         self._correction[where] = self._speed[where] = self._pushed[where] = 0.0
         self._asked[where] = inputs.sent[where]
-        self._position = np.where(where[:, None], inputs.state.position, self._position)
+        self._position[where] = inputs.state.position[where]
         self._pace.begin(inputs.state.time, where)
 
     def take_over(self, inputs: ControlInput, where: Mask) -> None:
