@@ -87,11 +87,20 @@ class Plant:
         *,
         seed: int,
         first: int = 0,
-        **truth: Any,  # noqa: ANN401
+        payload: Array | float = 0.0,
+        bodies: Sequence[Arm] | None = None,
+        gravity: Array = GRAVITY,
     ) -> None:
-        """Put the arms at rest, with the ``truth`` of `_weigh`."""
+        """Put the arms at rest.
+
+        In truth with a ``payload`` (B,) [kg] at the TCP, ``bodies`` (B,), ``gravity`` (3,) [m/s^2] in the base frame.
+        """
         self.arm, self.count = arm, len(wears)
-        self._weigh(**truth)
+        self._pull, loads = np.asarray(gravity, dtype=float), np.broadcast_to(payload, self.count)
+        self._carried = dict(enumerate(bodies or ()))  # arms that differ
+        for i in np.flatnonzero(loads > 0.0).tolist():
+            true = self._carried.get(i, arm)
+            self._carried[i] = replace(true, **heavier(true, float(loads[i]), true.tip[:3, 3]))
         self.joints = np.array([joint_records(arm, wear) for wear in wears])
         """(B, n) as `servo.JOINT`"""
         self.servos = np.zeros((self.count, arm.joints), servo.STATE)
@@ -108,7 +117,13 @@ class Plant:
         armature = self.batch.expand("dof_armature")
         armature[:, 0::2] = self.joints["reflected_inertia"]
         armature[:, 1::2] = self.joints["link_stiffness"] * (servo.GEAR_STEPS * STEP) ** 2
-        self._load_tools()
+        if self._carried:
+            fields = {name: self.batch.expand(name) for name in _CONTENT}
+            for i, true in self._carried.items():
+                body = build_model(true, self._pull)
+                for name, values in fields.items():
+                    values[i] = getattr(body, name)
+            self.batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         """(B, 2 n) [rad] and [rad/s]: servo output and gear in turn"""
         self._applied = self.batch.bind("qfrc_applied")
@@ -117,16 +132,6 @@ class Plant:
         self.servos["temperature"] = self.joints["ambient"]
         self._equip()
         self.reset(np.tile(arm.rest, (self.count, 1)))
-
-    def _weigh(
-        self, payload: Array | float = 0.0, bodies: Sequence[Arm] | None = None, gravity: Array = GRAVITY
-    ) -> None:
-        """Take a ``payload`` (B,) [kg] at the TCP, true ``bodies`` (B,), ``gravity`` (3,) [m/s^2] in the base frame."""
-        self._pull, loads = np.asarray(gravity, dtype=float), np.broadcast_to(payload, self.count)
-        self._carried = dict(enumerate(bodies or ()))  # arms that differ
-        for i in np.flatnonzero(loads > 0.0).tolist():
-            true = self._carried.get(i, self.arm)
-            self._carried[i] = replace(true, **heavier(true, float(loads[i]), true.tip[:3, 3]))
 
     def _equip(self) -> None:
         """Add servos with a firmware of their own."""
@@ -267,17 +272,6 @@ class Plant:
         for i, arm in self._carried.items():
             load[i] = gravity_torque(arm, position[i], self._pull)
         return load
-
-    def _load_tools(self) -> None:
-        """Put the bodies of arms that differ into the batch."""
-        if not self._carried:
-            return
-        fields = {name: self.batch.expand(name) for name in _CONTENT}
-        for i, arm in self._carried.items():
-            body = build_model(arm, self._pull)
-            for name, values in fields.items():
-                values[i] = getattr(body, name)
-        self.batch.set_const(np.array(list(self._carried), dtype=np.int32))  # the masses of whole branches
 
     def _checked(self, position: Array) -> Array:
         position = np.asarray(position, dtype=float)
