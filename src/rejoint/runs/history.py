@@ -206,19 +206,28 @@ def arms_of(rows: Sequence[HistoryRow]) -> list[ArmHistory]:
     """Group rows, the oldest first, by arm; urgent arms first."""
     owner = owners(rows)
     whole = sorted((row for row in rows if not row.joint), key=lambda row: (owner(row), row.time))
-    return sorted((ArmHistory(name=name, rows=tuple(mine)) for name, mine in groupby(whole, owner)), key=_urgency)
+    return sorted(
+        (ArmHistory(name=name, rows=tuple(mine)) for name, mine in groupby(whole, owner)),
+        key=lambda arm: (
+            (*_ORDER, arm.state).index(arm.state),
+            arm.newest.due_early or datetime.max,
+            -(arm.newest.counts_mm or 0.0),
+        ),
+    )
 
 
 def cells(arm: ArmHistory) -> list[str]:
     """One row of the table `HEADERS`."""
     row = arm.newest
     by = " by encoders" * (row.true_error_mm is None or row.counts_mm == row.error_mm)
+    early, late = row.due_early, row.due_late
+    due = f"{early:%Y-%m-%d} to {late:%Y-%m-%d}" if early and late else f"after {early:%Y-%m-%d}" if early else ""
     return [
         arm.name,
         arm.state,
         "" if row.counts_mm is None else f"{row.counts_mm:.1f}{by}",
         "" if row.tolerance_mm is None else f"{row.tolerance_mm:.1f}",
-        "now" if row.over else _span(row.due_early, row.due_late),
+        "now" if row.over else due,
         f"{row.time:%Y-%m-%d}",
         what_to_do(row),
     ]
@@ -227,17 +236,6 @@ def cells(arm: ArmHistory) -> list[str]:
 def what_to_do(row: HistoryRow) -> str:
     """Last advice to the user."""
     return row.line.partition("Do: ")[2]
-
-
-def _span(early: datetime | None, late: datetime | None) -> str:
-    if early is None:
-        return ""
-    return f"after {early:%Y-%m-%d}" if late is None else f"{early:%Y-%m-%d} to {late:%Y-%m-%d}"
-
-
-def _urgency(arm: ArmHistory) -> tuple[int, datetime, float]:
-    row = arm.newest
-    return (*_ORDER, arm.state).index(arm.state), row.due_early or datetime.max, -(row.counts_mm or 0.0)
 
 
 def write_history(path: Path, arms: Sequence[ArmHistory]) -> None:

@@ -391,9 +391,10 @@ class ArmDriver:
     @cached_property
     def robot(self) -> Robot:
         """The open robot."""
-        robot = given = self.given
-        if robot is None or given is None:
+        robot = self.given
+        if robot is None:
             raise InputError("session: there is no robot to drive")
+        virtual = is_batchable(robot)
         if self.run is not None:
             require_space(self.run.path)
         with noted():
@@ -407,7 +408,7 @@ class ArmDriver:
             self._stack.enter_context(self._gains)
             self._limit(robot)
             pace, paced = self._pace, None if self._pace is None else False
-            if pace is not None and (self.rehearsal is not None or is_batchable(given)):
+            if pace is not None and (self.rehearsal is not None or virtual):
                 robot = WallClock(robot, lambda: pace)
             return self.observer.watch(robot, twin=self.twin, within=self.settings.within, paced=paced)
 

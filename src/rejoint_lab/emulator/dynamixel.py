@@ -243,22 +243,17 @@ class XArm(ServoArm[XServo]):
                     servo["Secondary_ID"] = number - k
                 servo.joint, (servo.setting, servo.status) = joint, (record[k] for record in records[joint])
                 self.servos.append(servo)
-                self._prepare(servo, gains)
-
-    def _prepare(self, servo: XServo, gains: dict[str, int]) -> None:
-        """Let a servo hold, with the limits of its joint."""
-        servo.wrap(0)
-        if servo.joint < self.arm.joints and servo["Operating_Mode"] == POSITION:
-            span = self.arm.lower[servo.joint], self.arm.upper[servo.joint]
-            ends = (servo.position(round(float(end) / self.arm.encoder_step)) for end in span)
-            low, high = sorted(ends)
-            servo["Min_Position_Limit"], servo["Max_Position_Limit"] = max(low, 0), min(high, COUNTS - 1)
-        servo.save()
-        servo["Torque_Enable"] = 1
-        servo.update({f"Position_{name.upper()}_Gain": value for name, value in gains.items()})
-        servo.wrap(self.count(servo))
-        servo["Goal_Position"] = servo.position(int(servo.status["goal"]))
-        self.settle(servo)
+                servo.wrap(0)
+                if joint < self.arm.joints and fitting.mode == POSITION:
+                    span = self.arm.lower[joint], self.arm.upper[joint]
+                    low, high = sorted(servo.position(round(float(end) / self.arm.encoder_step)) for end in span)
+                    servo["Min_Position_Limit"], servo["Max_Position_Limit"] = max(low, 0), min(high, COUNTS - 1)
+                servo.save()
+                servo["Torque_Enable"] = 1
+                servo.update({f"Position_{name.upper()}_Gain": value for name, value in gains.items()})
+                servo.wrap(self.count(servo))
+                servo["Goal_Position"] = servo.position(int(servo.status["goal"]))
+                self.settle(servo)
 
     def advance(self, duration: float) -> None:
         """Advance by [s], in whole milliseconds."""

@@ -106,7 +106,24 @@ def train_offpolicy(
     seen = dict(zip(("observation", "privileged"), map(torch.from_numpy, task.reset()), strict=True))
     with on_one_thread():
         for cycle in range(cycles):
-            seen = _interact(agent, task, {"timestep": cycle, "timesteps": cycles}, seen)
+            before, clock = seen, {"timestep": cycle, "timesteps": cycles}
+            with torch.no_grad():
+                action, _ = agent.act(before["observation"], before["privileged"], **clock)
+                seen = step(task, action)
+                agent.record_transition(
+                    observations=before["observation"],
+                    states=before["privileged"],
+                    actions=action,
+                    rewards=(DEFAULT.ppo.reward_scale * seen["reward"]).float()[:, None],
+                    next_observations=seen["final_observation"],
+                    next_states=seen["final_privileged"],
+                    terminated=seen["terminated"][:, None],
+                    truncated=seen["truncated"][:, None],
+                    infos={},
+                    **clock,
+                )
+            agent.post_interaction(**clock)
+            agent.tracking_data.clear()
             done.append(seen)
             if len(done) == _REPORT_EVERY or cycle + 1 == cycles:
                 seconds = time.perf_counter() - began
@@ -115,27 +132,6 @@ def train_offpolicy(
                 on_progress((cycle + 1) / cycles, describe(curve[-1]))
     contract = policy_contract(arm, twin, recipe, seed, servo_gains)
     return finish_training(RunFolder(out), agent.policy.network(), contract, curve)
-
-
-def _interact(agent: SAC, task: ReachTask, clock: dict[str, int], before: Rollout) -> Rollout:
-    with torch.no_grad():
-        action, _ = agent.act(before["observation"], before["privileged"], **clock)
-        seen = step(task, action)
-        agent.record_transition(
-            observations=before["observation"],
-            states=before["privileged"],
-            actions=action,
-            rewards=(DEFAULT.ppo.reward_scale * seen["reward"]).float()[:, None],
-            next_observations=seen["final_observation"],
-            next_states=seen["final_privileged"],
-            terminated=seen["terminated"][:, None],
-            truncated=seen["truncated"][:, None],
-            infos={},
-            **clock,
-        )
-    agent.post_interaction(**clock)
-    agent.tracking_data.clear()
-    return seen
 
 
 def _make_agent(task: ReachTask) -> SAC:

@@ -342,7 +342,9 @@ class TrialRunner:
                 recording = run(robot, controller, reference, plan, limits=limits, on_cycle=see)
         except GuardTripError as error:
             stopped = recording_of(error)
-            if stopped is None or not bad_command(stopped):
+            if stopped is None or (stopped.tripped != Reason.NOT_FINITE.value).any():
+                raise
+            if not np.isfinite(stopped.position[-1]).all():  # not the command alone was no number
                 raise
             recording = stopped
         if not settings.batched:
@@ -361,11 +363,6 @@ class TrialRunner:
             if not settings.batched:
                 plain._to_rest(robot)
             return TargetErrors.of(plain._drive(robot, Key(DefaultController.name, "hold", ((0, 0),)))[0].columns)
-
-
-def bad_command(recording: Recording) -> bool:
-    """Whether one arm tripped over a command alone that was not a number."""
-    return bool((recording.tripped == Reason.NOT_FINITE.value).all() and np.isfinite(recording.position[-1]).all())
 
 
 def worse(settled: Mapping[str, Array], tests: int) -> dict[str, str]:

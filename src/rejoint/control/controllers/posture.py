@@ -97,7 +97,10 @@ class PostureController(FeedforwardController):
             self._weak = np.full(position.shape, False)
         moved, goal = position - self._position, self._goals_of(inputs)
         error, arrived = np.where(self._weak, inputs.goal, goal) - position, inputs.arrived[:, None]
-        rests, size, stays = self._at_rest(inputs)[:, None], np.abs(error), (moved == 0.0) & arrived
+        stood = self._still.look(inputs.state.time, position).min(axis=1)[:, None]
+        away = tool_error(self._arm, position, tcp_position(self._arm, inputs.goal))[:, None]
+        rests, size = (stood >= CALM) & arrived & (away < self._settings.close), np.abs(error)
+        stays = (moved == 0.0) & arrived
         push = PUSH / self._gains.rate * np.sign(error) * ((size > WITHIN) & arrived)
         loose = arrived & (self._pushed * moved > 0.0)
         taken, before = np.where(loose, TAKEN_BACK * self._pushed, 0.0), self._correction.copy()
@@ -109,13 +112,6 @@ class PostureController(FeedforwardController):
         sent = (added - lost).clip(np.minimum(added, 0.0), np.maximum(added, 0.0))
         self._pushed = np.where(stays, self._pushed + sent, 0.0)
         return self._asked.copy()
-
-    def _at_rest(self, inputs: ControlInput) -> Mask:
-        """Stationary arms (B,) whose tool is close."""
-        position = inputs.state.position
-        stood = self._still.look(inputs.state.time, position).min(axis=1)
-        away = tool_error(self._arm, position, tcp_position(self._arm, inputs.goal))
-        return (stood >= CALM) & inputs.arrived & (away < self._settings.close)
 
     def _goals_of(self, inputs: ControlInput) -> Array:
         """Postures (B, n) [rad] that place the tools despite weak joints."""

@@ -126,7 +126,12 @@ def identify(
         elif run is not None:
             about = opened(run, arm)
             stack.enter_context(exclusive(about))
-            chosen, motions = about.arm, _motions(about)
+            chosen, path, targets = about.arm, about.folder.log("excitation"), about.folder.log("targets")
+            if not path.exists():
+                source = about.robot.removeprefix(LOGS)
+                given = f"identify --logs {source}" if about.robot.startswith(LOGS) else f"diagnose {source}"
+                raise FileError(path, "no such file", f"run: rejoint {given} --run {about.path}")
+            motions = [RunLog.load(one) for one in (path, targets) if one.exists()]
         else:
             raise InputError("identification: neither logs nor a run is given")
         chosen = kept(about).laden(chosen)
@@ -144,15 +149,6 @@ def identify(
             if twin.judgement is not None:
                 write_json(about.folder.judgement, twin.judgement)
         return twin
-
-
-def _motions(run: Run) -> list[RunLog]:
-    path, targets = run.folder.log("excitation"), run.folder.log("targets")
-    if not path.exists():
-        logs = run.robot.removeprefix(LOGS)
-        given = f"identify --logs {logs}" if run.robot.startswith(LOGS) else f"diagnose {logs}"
-        raise FileError(path, "no such file", f"run: rejoint {given} --run {run.path}")
-    return [RunLog.load(one) for one in (path, targets) if one.exists()]
 
 
 TWIN = "twin"
