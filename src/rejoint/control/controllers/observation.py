@@ -109,11 +109,6 @@ def layout_factors(layout: Layout, joints: int) -> Array:
     return np.repeat([row.factor for row in _ROWS[layout]], _sizes(layout, joints))
 
 
-def layout_size(layout: Layout, joints: int) -> int:
-    """Size of the observation."""
-    return len(layout_factors(layout, joints))
-
-
 class Observer:
     """Turns control inputs of B arms into observations.
 
@@ -126,7 +121,8 @@ class Observer:
     def __init__(self, arm: Arm, count: int, layout: Layout = "residual") -> None:
         n = arm.joints
         self.arm, self.count, self.layout = arm, count, layout
-        self.size, self._factors = layout_size(layout, n), layout_factors(layout, n)
+        self._factors = layout_factors(layout, n)
+        self.size = len(self._factors)
         self._body = replace(arm, keep_out=()) if arm.keep_out else arm  # no policy has learned an owner's boxes
         self._position, self._time = np.zeros((count, n)), np.full(count, np.nan)
         self._period = np.full(count, MIDDLE_PERIOD)

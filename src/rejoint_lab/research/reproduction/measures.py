@@ -23,7 +23,7 @@ from rejoint.control.comparison.result import (
     Protocol,
     row_of,
 )
-from rejoint.control.controllers.observation import Observation, layout_factors, layout_size, layout_slots
+from rejoint.control.controllers.observation import Observation, layout_factors, layout_slots
 from rejoint.control.controllers.policy import PolicyController, load_policy
 from rejoint.pages.html import INK, LOOKS, Look, look_of
 from rejoint.pages.report.figures import WIDE, Series, Stroke, canvas, curves, plane
@@ -418,7 +418,7 @@ def measure_trainings(bench: Bench) -> Found:
     worn = [success[name] for name in WORN]
     row = _together(compared, WORN)
     return {
-        "size": layout_size(PAPER.task.layout, bench.arm.joints),
+        "size": len(layout_factors(PAPER.task.layout, bench.arm.joints)),
         "transitions": trained.step[-1] / 1e6,
         "seconds": _seconds(bench),
         "success": f"{100 * row.reached:.1f} % ({min(worn):.1f} to {max(worn):.1f} over seeds)",
