@@ -118,7 +118,7 @@ class EmulatedCamera:
     rig: Rig
     tool: Callable[[], Array]
     """returns the tool's pose (4, 4) in the base"""
-    seed: int = 0
+    seed: int
 
     def still(self, number: int) -> Picture:
         """Render image ``number``."""

@@ -358,17 +358,6 @@ class ServoArm(EmulatedArm, Generic[S]):
         return Answer(slot + self._delay(servo) + len(frame) * self.byte, frame)
 
 
-def overlaid(answers: list[Answer]) -> list[Answer]:
-    """Answers in order; those that end at one time spoil one another: a zero wins on the wire."""
-    found: list[Answer] = []
-    for answer in answers:
-        if found and abs(found[-1].after - answer.after) < 1e-9:
-            answer = answer._replace(data=bytes(a & b for a, b in zip(found[-1].data, answer.data, strict=False)))
-            found.pop()
-        found.append(answer)
-    return found
-
-
 PROMPT = 0.0005
 """[s] before an answer that are not slept through (chosen: a system wakes up so late)"""
 ADAPTER = 0.001
@@ -416,7 +405,12 @@ class BusSession(EmulatedConversation[Packet]):
         self._catch_up()
         self.arm.rate, sent = rate_of(channel), self.wire_format.write(request)
         self._free = max(self._came, self._free) + len(sent) * self.arm.byte
-        answers = overlaid(self.arm.execute(request))
+        answers = list[Answer]()
+        for answer in self.arm.execute(request):
+            if answers and abs(answers[-1].after - answer.after) < 1e-9:  # they spoil one another: a zero wins
+                spoilt = answers.pop().data
+                answer = answer._replace(data=bytes(a & b for a, b in zip(spoilt, answer.data, strict=False)))
+            answers.append(answer)
         if not answers:
             return
         if request.code == READ or request.code in self.arm.reads:

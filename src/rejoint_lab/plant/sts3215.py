@@ -165,7 +165,7 @@ def torque_of(setting, status, powered, speed, no_load_speed):
 def tick_servo(setting, status, rings, joint, state, tick, count, speed):
     """One millisecond of a servo at ``count``; ``rings`` (2, WINDOW); returns the torque [N m] on the output."""
     errors, positions = rings[0], rings[1]
-    powered, temperature = state.powered, state.temperature
+    powered, temperature = state.powered, state.temperature + setting.warmth
     sense(status, count, positions, tick)
     if not powered or setting.torque_on != 1:
         status.reference, status.rate, status.sum = float(status.position), 0.0, 0.0
@@ -173,10 +173,10 @@ def tick_servo(setting, status, rings, joint, state, tick, count, speed):
         status.alarms &= ~(OVERLOAD | CURRENT)
         errors[:] = 0
         status.moving = status.speed != 0
-        status.output = protect(setting, status, 0, temperature + setting.warmth)
+        status.output = protect(setting, status, 0, temperature)
     else:
         ramp(setting, status)
-        status.output = protect(setting, status, output_of(setting, status, errors, tick), temperature + setting.warmth)
+        status.output = protect(setting, status, output_of(setting, status, errors, tick), temperature)
         status.moving = status.rate != 0.0 or status.speed != 0
     state.torque = torque_of(setting, status, powered, speed, joint.no_load_speed)
     state.load = status.output / PWM_FULL

@@ -46,14 +46,12 @@ def _so101_ranges(arm: Arm) -> Ranges:
     return MixedRanges(first=found, second=worn, share=0.5)
 
 
-def _so101(arm: Arm) -> TrainingOptions:
-    law = replace(DEFAULT.task.law, stiffness=SO101_STIFFNESS, decay_start=DECAY_START)
-    return TrainingOptions(preset=replace(DEFAULT, task=replace(DEFAULT.task, law=law)), ranges=_so101_ranges(arm))
-
-
+_SO101_LAW = replace(DEFAULT.task.law, stiffness=SO101_STIFFNESS, decay_start=DECAY_START)
 RECIPES: dict[str, Callable[[Arm], TrainingOptions]] = {
     "mycobot280": lambda arm: TrainingOptions(preset=DEFAULT, ranges=BroadRanges(arm=arm)),
-    "so101": _so101,
+    "so101": lambda arm: TrainingOptions(
+        preset=replace(DEFAULT, task=replace(DEFAULT.task, law=_SO101_LAW)), ranges=_so101_ranges(arm)
+    ),
 }
 
 
