@@ -185,9 +185,8 @@ def repair(
 
         load_preset(what.preset)
     posed = what.targets is not None and as_targets(what.targets, built, sets=1, seed=0)[1] is not None
-    tunable = _is_tunable(robot, built)
     maker = ControllerMaker(built, period_of(robot, chosen.period))
-    maker.require_possible(what.controllers, tunable=tunable, posed=posed)
+    maker.require_possible(what.controllers, tunable=_is_tunable(robot, built), posed=posed)
     about = opened(Run.plan(run, address_of(robot), built, chosen.seed), built)
     chosen, told = settled(chosen, about, robot)
     watching = as_options(observer, Observer)

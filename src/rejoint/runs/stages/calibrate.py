@@ -201,8 +201,9 @@ def calibrate(
                 session.run = about = about and about.begin()
                 drive = StandingDrive(driven, session.limits, stance_of(session.twin_now, about))
                 if isinstance(by, FilmingGauge):
-                    folder = about.folder if about else None
-                    measured = by.film(drive, folder, count or by.postures, visits, share, fresh=fresh)
+                    measured = by.film(
+                        drive, about.folder if about else None, count or by.postures, visits, share, fresh=fresh
+                    )
                 else:
                     measured, prior = _measured(drive, by, about, prior, count or POINTS, visits, share, fresh=fresh)
         update(0.95, "fitting")

@@ -227,8 +227,7 @@ class ComparisonJob:
         size = self.targets[..., 0].size * self.settings.repetitions * len(self.factories)
         by_name = all(told == name for name, told in self.given.items())  # another process can make them
         plain = by_name and isinstance(self.robot, str) and not self.observer.shows
-        spare = os.name == "posix" and free_cores() > 1
-        if not (plain and self.settings.batched and size >= LEAST and spare):
+        if not (plain and self.settings.batched and size >= LEAST and os.name == "posix" and free_cores() > 1):
             return None
         trials = self.trials | {"model": None}
         helper = HelperProcess(replace(self, factories={}, trials=trials, before=None, observer=Observer()))
