@@ -242,7 +242,8 @@ def train(
         points = entry_points(group=TRAINERS)
         if learner not in points.names:
             raise InputError(f"--learner {learner!r}: expected one of {', '.join(('ppo', *sorted(points.names)))}")
-        trainer = points[learner].load()(learner, job.seed)
+        point = points[learner]
+        trainer = point.load()(learner, job.seed)
     how = rejoint.TrainSettings(generic=generic, trainer=trainer)
     result = call.do(rejoint.train, run=job, preset=preset, quick=quick, settings=how).training
     call.next(command("compare", "ROBOT" if job.robot.startswith(LOGS) else job.robot, run))  # logs cannot be driven

@@ -90,8 +90,9 @@ class DynamixelWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker'
         return [(data[k + 1], data[k], bytes(data[k + 2 : k + 2 + size])) for k in places]
 
     def _data(self, packet: Sequence[int], question: tuple[int, int] | None = None) -> bytes:  # noqa: ARG002
-        _, error = self.places
-        return bytes(packet[error + 1 : _LENGTH + packet[_LENGTH] + 256 * packet[_LENGTH + 1]])  # behind them: a CRC
+        return bytes(
+            packet[self.places[1] + 1 : _LENGTH + packet[_LENGTH] + 256 * packet[_LENGTH + 1]]
+        )  # behind them: a CRC
 
     def _take(self, result: int, servo: int, error: int) -> None:
         judge(result, servo)

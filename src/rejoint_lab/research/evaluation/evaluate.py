@@ -111,9 +111,8 @@ def classical(name: str, gains: Mapping[str, Mapping[str, float]] | None = None)
 
 def planned(arm: Arm, twins: Sequence[Twin]) -> Controller:
     """Predictive control on the arms' own twins, with the generic policy or, without one, the feed-forward."""
-    known = arm.name in shelf_arms()
     return PredictiveController.of(
-        arm, twins, shelf_controller(arm) if known else FeedforwardController(arm, _stiffness(twins))
+        arm, twins, shelf_controller(arm) if arm.name in shelf_arms() else FeedforwardController(arm, _stiffness(twins))
     )
 
 
