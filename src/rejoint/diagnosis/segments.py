@@ -113,8 +113,9 @@ class ExcitationLog:
         """(T, n) [N m] that gravity and, where effort is logged, the links' inertia take."""
         if self.effort_unit is None:
             return self.gravity
-        smooth = gaussian_filter1d(self.log.position, SMOOTHED / self.log.period, axis=0)
-        return self.gravity + inertial_torque(self.arm, self.log.time, smooth)
+        logs = np.split(self.log.position, np.flatnonzero(np.diff(self.log.time) > _APART / 2) + 1)
+        smooth = [gaussian_filter1d(one, SMOOTHED / self.log.period, axis=0, mode="nearest") for one in logs]
+        return self.gravity + inertial_torque(self.arm, self.log.time, np.concatenate(smooth))
 
     @property
     def effort(self) -> Array:

@@ -262,7 +262,7 @@ class ControllerMaker:
             if self.policy_file is not None:
                 own = GEARED_POLICY if self.trained_for_tuned else POLICY
                 return own, f"the policy of {run.path}, which {lacks}"
-            without = f"{run.path} has no policy yet"
+            without = f"{run.path} has no policy yet, and {lacks}"
         if self.suits_shelf:
             return SHELF, f"the policy that comes with rejoint; {without}"
         return FeedforwardController.name, f"no policy suits this arm; {without}"
@@ -313,7 +313,7 @@ class ControllerMaker:
 
     def _factory(self, given: ControllerLike) -> Factory:
         if is_name(given):
-            return partial(self.by_name, given)
+            return partial(self._by_name, given)
         one = Policy.load(given) if isinstance(given, Path | str) else given
         if hasattr(one, "controller"):
             return one.controller
@@ -321,8 +321,7 @@ class ControllerMaker:
             return lambda _: cast(Controller, one)
         return one
 
-    def by_name(self, name: str, arm: Arm) -> Controller:
-        """Make a controller of the catalogue."""
+    def _by_name(self, name: str, arm: Arm) -> Controller:
         if name in RIVALS:
             return self._geared(name, arm)
         stiffness = None if self.twin is None else self.twin.parameters.stiffness
@@ -344,7 +343,7 @@ class ControllerMaker:
                 f"with: rejoint train {run.path}"
             )
         stiffer = None if self.twin is None else twin_under(self.twin, found.found, found.under)
-        inner = replace(self, twin=stiffer).by_name(inner_name(name), arm)
+        inner = replace(self, twin=stiffer)._by_name(inner_name(name), arm)
         return geared(inner, found.alone if name == GEARED else found.under)
 
 
