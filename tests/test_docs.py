@@ -252,11 +252,6 @@ def test_links_lead_somewhere(page):
             assert anchor in slugs(goal.read_text()), f"{page}: there is no heading for {link}"
 
 
-def test_every_page_is_in_the_navigation():
-    config = (ROOT / "mkdocs.yml").read_text()
-    assert sorted(re.findall(r": ([\w-]+\.md)$", config, re.MULTILINE)) == sorted(p.name for p in DOCS.glob("*.md"))
-
-
 def test_every_command_is_listed():
     lines = [
         words.removeprefix("rejoint ").split() for words in inline("docs/commands.md") if words.startswith("rejoint ")

@@ -9,12 +9,12 @@ from motion_logs import TRUTH, as_log, centre_of, pressing, record
 from motion_logs import wandering as twin_wandering
 from plant_logs import ARM, HEALTHY, kinds, plain_reference, record_motions, with_joint
 
-from rejoint.arms import tcp_position
+from rejoint.arms import gravity_torque, tcp_position
 from rejoint.diagnosis import diagnosis as diagnosing
 from rejoint.diagnosis.diagnosis import diagnose_logs
 from rejoint.diagnosis.healthy import reference_by
 from rejoint.diagnosis.metrics import fit_law
-from rejoint.diagnosis.segments import FREE, join_logs, resting_postures
+from rejoint.diagnosis.segments import FREE, inertial_torque, join_logs, resting_postures
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.exclusions import Exclusions, find_exclusions
 from rejoint.system.errors import InputError
@@ -218,9 +218,9 @@ def test_commands_of_unknown_servos_take_effect_at_once(logs):
     np.testing.assert_allclose(reached[:, 0], data.log.command[:, 1])
 
 
-def states_with_current(dry, phase):
+def states_with_current(dry, phase, step=0.01):
     """A minute of states, and of current: ``dry`` (n,) [A], 0.3 A s/rad by speed, 0.05 A s^2/rad, noise; one rests."""
-    time = np.arange(0.0, 60.0, 0.01)
+    time = np.arange(0.0, 60.0, step)
     position = np.zeros((len(time), ARM.joints))
     speed, acceleration = np.zeros((2, len(time), ARM.joints))
     for joint in range(ARM.joints - 1):
@@ -288,15 +288,25 @@ def test_current_tells_friction_where_nobody_recorded_commands():
     diagnosis = diagnose_logs(ARM, [log], None)
     assert (diagnosis.condition, diagnosis.findings) == ("unknown", ())
     for row in diagnosis.measurement.joints[:-1]:
-        assert row.coulomb_effort.value == pytest.approx(0.4, rel=0.05)
-        assert row.viscous_effort.value == pytest.approx(0.3, rel=0.05)
+        assert row.coulomb_effort.value == pytest.approx(0.4, 0.05)
+        assert row.viscous_effort.value == pytest.approx(0.3, 0.05)
         assert row.stiffness_nm_per_rad is None
     assert diagnosis.measurement.joints[-1].coulomb_effort is None
     assert " A (" in diagnosis.verdict
     assert diagnosis == replace(diagnose_logs(ARM, [log], plain_reference()), healthy=None)  # it knows no current
+    dry = replace(log, current=0.4 * np.sign(log.current))
+    assert diagnose_logs(ARM, [dry], None).measurement.joints[0].coulomb_effort.value == pytest.approx(0.4, 0.05)
     for current in (-log.current, np.abs(log.current)):
         rows = diagnose_logs(ARM, [replace(log, current=current)], None).measurement.joints
         assert {(row.coulomb_effort, row.viscous_effort) for row in rows} == {(None, None)}
+
+
+def test_noise_of_encoders_does_not_hide_that_torque_is_right():
+    clean = states_with_current(0.0, 0.0, 0.002)
+    torque = gravity_torque(ARM, clean.position) + inertial_torque(ARM, clean.time, clean.position)
+    noisy = clean.position + np.random.default_rng(0).normal(0.0, 3e-3, torque.shape)
+    log = replace(clean, position=noisy, torque=torque, units={"torque": "N m"})
+    assert diagnose_logs(ARM, [log], None).measurement.torque_over_load == pytest.approx(1.0, 0.1)
 
 
 @pytest.mark.parametrize(
@@ -309,4 +319,4 @@ def test_friction_that_grew_between_two_dates_is_named_and_no_other(grown, unit,
     now = diagnose_logs(ARM, [states_with_current(dry, 0.7)], reference_by(ARM, before))
     assert now.condition == condition
     assert ("it grew at shoulder_lift." in now.verdict) == (condition == "worn")
-    assert now.measurement.joints[1].coulomb_effort.value == pytest.approx(0.4 * grown, rel=0.05)
+    assert now.measurement.joints[1].coulomb_effort.value == pytest.approx(0.4 * grown, 0.05)

@@ -8,10 +8,8 @@ from rejoint.system.errors import InputError
 from rejoint_lab.family import EmulatedAddress
 
 KNOWN = [
-    ("emulated:worn", EmulatedAddress(profile="worn")),
     ("emulated:worn?seed=7", EmulatedAddress(profile="worn?seed=7")),
     ("emulated:worn?payload=0.1&seed=7", EmulatedAddress(profile="worn?seed=7", payload=0.1)),
-    ("tcp://10.0.0.7:9001", Wire(text="tcp://10.0.0.7:9001", host="10.0.0.7", port=9001)),
     ("tcp://robot.local", Wire(text="tcp://robot.local", host="robot.local", port=9000)),
     ("serial:///dev/ttyAMA0", Wire(text="serial:///dev/ttyAMA0", device="/dev/ttyAMA0", baud=1_000_000)),
     ("serial:///dev/x?baud=115200", Wire(text="serial:///dev/x?baud=115200", device="/dev/x", baud=115_200)),
