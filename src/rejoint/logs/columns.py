@@ -265,6 +265,11 @@ _TITLES, _RECORDERS = NAMES["titles"], NAMES["recorders"]
 _PREFIXES = sorted(((one, group) for group, ones in _TITLES.items() for one in ones), key=lambda p: -len(p[0]))
 _EVERY = re.compile(rf"\bJOINT(_({'|'.join(unit for known in UNITS.values() for unit in known if unit.isalpha())}))?$")
 """A meaning that stands for every joint"""
+_ASKED = re.compile(
+    r"(?i)[._ /]((?P<bound>ff|limit|max|min|enabled?)|des(ired)?|ref(erence)?|cmd|command(ed)?|goal|target|setpoint)"
+    r"(?=[._ /\d]|$)"
+)
+"""Words for what is not measured"""
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 
 
@@ -344,6 +349,8 @@ class _GroupedColumns:
         self.motion, self.arm, self.options = motion, arm, options
         self.notes, self.extra = [*motion.notes], {**motion.extra}
         self.columns = {i: found for i, title in enumerate(motion.titles) if (found := _classified(title, i))}
+        sent = any(column.prefix for column in self.of("command"))  # not only asked for
+        self.columns = {i: one for i, one in self.columns.items() if one.prefix or not sent}
         self.implied = {"time": motion.time_unit, **dict.fromkeys(MOTION, motion.angle_unit)}
         self.implied |= dict.fromkeys((*SI, "gain", "powered"), "")
         prefixes = (column.prefix for column in self.columns.values())
@@ -539,7 +546,15 @@ class _GroupedColumns:
 
 
 def _classified(title: str, place: int = -1) -> Column | None:
-    """Return the column that a title names, or None."""
+    """Return the column that a title names, or None; a position that is asked for is a command."""
+    found, asked = _begun(title, place), _ASKED.search(f".{title}")
+    if not asked or (found and found.group not in ("position", *SI)):
+        return found
+    plain = None if asked["bound"] else _begun(_ASKED.sub("", f".{title}")[1:], place)
+    return plain._replace(title=title, group="command", prefix="") if plain and plain.group == "position" else None
+
+
+def _begun(title: str, place: int) -> Column | None:
     for prefix, group in _PREFIXES:
         if not title.casefold().startswith(prefix):
             continue

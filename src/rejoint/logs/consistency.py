@@ -323,18 +323,22 @@ def without_spikes(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]
 
 
 def unwrapped(motion: RecordedMotion, arm: Arm) -> tuple[RecordedMotion, list[Remark]]:
-    """Join angles that pass from one end of a turn to the other; a command is in the turn in which it ends."""
-    wraps = arm.endless & (np.abs(np.abs(np.diff(motion.position, axis=0)) - 2 * np.pi) < WRAP).any(axis=0)
+    """Join angles that pass the end of a turn, and shift those that a turn brings within limits; so their commands."""
+    wraps = (np.abs(np.abs(np.diff(motion.position, axis=0)) - 2 * np.pi) < WRAP).any(axis=0)
+    position, command = np.where(wraps, np.unwrap(motion.position, axis=0), motion.position), motion.command
+    ways = position + 2 * np.pi * np.array([0.0, 1.0, -1.0])[:, None, None]
+    within = ((ways > arm.lower) & (ways < arm.upper)).mean(axis=1)
+    best = np.where(~arm.endless & (within.max(axis=0) - within[0] > 1.0 - FAR_OUT), within.argmax(axis=0), 0)
+    position, wraps = np.take_along_axis(ways, best[None, None], axis=0)[0], wraps | (best > 0)
     if not wraps.any():
         return motion, []
-    position, command = np.where(wraps, np.unwrap(motion.position, axis=0), motion.position), motion.command
     if command is not None:
         changes = np.diff(command, axis=0, append=np.inf) != 0
         rows = np.where(changes, np.arange(len(command))[:, None], len(command))
         last = np.minimum.accumulate(rows[::-1], axis=0)[::-1]
         turns = np.round((np.take_along_axis(position, last, axis=0) - command) / (2 * np.pi))
         motion = replace(motion, command=command + 2 * np.pi * np.where(wraps, turns, 0.0))
-    said = f"state: {', '.join(compress(motion.columns, wraps))} passes the end of a turn; joined"
+    said = f"state: {', '.join(compress(motion.columns, wraps))} passes the end of a turn, or is a turn off; joined"
     return replace(motion, position=position), [(said, "")]
 
 
@@ -392,7 +396,7 @@ def _largest(size: Array) -> tuple[int, int]:
 
 
 FAR = 0.1
-"""[rad] command travel for duplicates"""
+"""[rad] travel for duplicates and exchanged joints"""
 RELATED = (0.3, 0.9)
 """correlations: unrelated, and related"""
 MUCH_BETTER = (0.95, 5.0)
@@ -420,6 +424,7 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int] = ()) -> Iterator
     """
     state, command = motion.position, np.asarray(motion.command)
     lowest, highest = correlations(motion.time, state, command)
+    far = (np.ptp(state, axis=0)[:, None] > FAR) & (np.ptp(command, axis=0) > FAR)
     error, gains = state - command, np.std(state, axis=0) / np.maximum(np.std(command, axis=0), 1e-9)
     yield from _check_copies(motion, command)
     for joint, name in enumerate(motion.columns):
@@ -429,7 +434,7 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int] = ()) -> Iterator
         other = highest[joint, best]
         better = other > MUCH_BETTER[0] and 1 - own > MUCH_BETTER[1] * (1 - other)
         # whose own state follows its command as well stays where it is
-        if ((own < RELATED[0] and other > RELATED[1]) or better) and highest[best, best] < other:
+        if ((own < RELATED[0] and other > RELATED[1]) or better) and highest[best, best] < other and far[joint, best]:
             yield (
                 f"the state of {name} follows the command of {motion.columns[best]} (correlation {other:.2f}), not its "
                 f"own ({own:.2f})",
