@@ -200,13 +200,16 @@ def fitted_twin(
     sagless = np.isin(belief.layout.kind, [number(name) for name in SAGLESS])
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen & (sagless | (not doubted))
     silent = problem.powered.sum(axis=0) == 0
+    errors = (problem.residuals(vector[None])[0], replay.commands - replay.measured)
+    worse = np.subtract(*((one**2).sum(axis=0) for one in errors)) > 0.0  # than the command alone
     together = sum(told[at(name)] ** -2 for name in SCALE) ** -0.5  # of their scale, by all priors without data
-    mute, vague = (np.append(one, False)[problem.owner] for one in (silent, sigma[at("stiffness")] > together))
+    mute, vague = (np.append(one, False)[problem.owner] for one in (silent | worse, sigma[at("stiffness")] > together))
     # where an interval goes beyond its bound, only the bound tells where it ends
     identified &= ~mute & ~((vague | (vector + NORMAL95 * sigma > belief.upper)) & belief.layout.is_log)
     held, limit = largest_static_torque(replay.arm, logs, parameters.coulomb), parameters.torque_limit
     identified[place] &= ~unreached
-    light = np.abs(problem.gravity) < LIGHT_SAG * parameters.stiffness
+    least = np.exp(vector - NORMAL95 * sigma)[at("stiffness")]
+    light = np.abs(problem.gravity) < LIGHT_SAG * least
     identified[at("offset")] &= identified[at("stiffness")] | light  # of unknown stiffness, it holds what is sag
     # below zero it stands for speed that is fed forward, or for late readings; at its bound damping does so too
     identified[at("delay")] &= parameters.delay > 0.0
