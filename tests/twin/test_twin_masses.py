@@ -49,4 +49,4 @@ def test_each_mass_and_centre_is_moved_once_and_all_masses_together():
     np.testing.assert_allclose(heavier[1 : 1 + ARM.joints], 1.0 + np.expm1(CHANGE) * np.eye(ARM.joints))
     np.testing.assert_allclose(heavier[1 + ARM.joints :], 1.0)
     further = [np.linalg.norm(arm.com, axis=1) / np.linalg.norm(ARM.com, axis=1) for arm in arms[1 + ARM.joints :]]
-    np.testing.assert_allclose(further, 1.0 + np.expm1(CHANGE) * np.eye(ARM.joints + 1, ARM.joints))
+    np.testing.assert_allclose(further, 1.0 + np.expm1(CHANGE) * np.eye(ARM.joints))

@@ -358,8 +358,6 @@ def limiting(problem: Problem, x: Array) -> Mask:
 
 COMMON = 0.10
 """Sigma of the log mass of all links; chosen"""
-EMF = 1.0
-"""Sigma of the log no-load speed; chosen"""
 STEP = 0.05
 """Finite-difference step of the logarithms; chosen"""
 
@@ -379,7 +377,6 @@ def fixed_covariance(
         pull = problem.system(jacobian, weight, change)[1]
         moved.append(np.where(problem.frozen | found.at_bound, 0.0, pull))
     by = np.linalg.solve(curvature, np.array(moved).T)
-    by[problem.layout.kind != TORQUE_LIMIT, -1] = 0.0  # measured: the no-load speed, the last, moves the limit alone
     return by @ by.T
 
 
@@ -392,4 +389,3 @@ def others(replay: Replay) -> Iterator[tuple[Replay, float]]:
         yield replace(replay, arm=heavier), sigma
     for row in np.eye(arm.joints):
         yield replace(replay, arm=replace(arm, com=arm.com * np.exp(STEP * row)[:, None])), CENTRE
-    yield replace(replay, arm=replace(arm, max_speed=arm.max_speed * np.exp(STEP))), EMF

@@ -151,7 +151,7 @@ PARAMETERS: tuple[Parameter, ...] = (
               nominal=0.0, sigma=0.01, lower=-1.0, upper=1.0, log=False, fitted=False),
     Parameter(name="delay", unit="s", meaning="command latency plus age of the answer",
               nominal=0.025, sigma=0.012, lower=0.0, upper=0.1, log=False, difference=0.004, per_joint=False,
-              beside=0.0025,  # such as the filter of a servo's speed
+              beside=0.003,  # such as the filter of a servo's speed, and the step of the fit
               # chosen: a bus servo answers within a few periods; below zero where a position is read up to a period
               # of 20 ms later than its row is stamped
               wide={"nominal": 0.01, "sigma": 0.015, "lower": -0.02, "upper": 0.2}),
@@ -176,6 +176,9 @@ LEAST_FED = 0.05
 
 NO_LOAD = 2.0
 """No-load speed of a motor over its joint's largest; chosen: the speed of most power"""
+
+BESIDE = 0.5
+"""Share of the damping beside the torque limit of other motors; chosen: viscous friction is there, too"""
 
 WRIST_INERTIA = 0.2
 """Share of the largest link inertia that bounds the wrist; chosen"""
@@ -352,8 +355,11 @@ def dry_friction(terms: Array, speed: Array, load: Array | float) -> Array:
 def back_emf(arm: Arm, twin: TwinParameters) -> Array:
     """Return the share (..., n) [N m s/rad] of the damping that acts beside the torque limit; the limit holds the rest.
 
-    A servo limits duty, derivative gain included; back-EMF takes torque after that.
+    A servo limits duty, derivative gain included; back-EMF takes torque after that. Outside the
+    catalogue, where no-load speeds are unknown, it is `BESIDE` of the damping.
     """
+    if not is_hobby(arm):
+        return BESIDE * twin.damping
     return np.minimum(twin.damping, twin.torque_limit / (NO_LOAD * arm.max_speed))
 
 
