@@ -29,7 +29,7 @@ from rejoint_lab.research.evaluation.family import ArmFamily, try_on
 
 COPIES = 8
 """Trials of one arm side by side (chosen)"""
-PRESETS = {"shelf": "default", "random": "scratch"}
+PRESETS = {"shelf": DEFAULT, "random": load_preset("scratch")}
 
 
 def trained(twin: Twin, start: str, updates: int, seed: int, file: Path) -> float | None:
@@ -38,7 +38,7 @@ def trained(twin: Twin, start: str, updates: int, seed: int, file: Path) -> floa
         return None
     begun = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
-        preset = replace(load_preset(PRESETS[start]), name=f"{start}-{updates}")
+        preset = replace(PRESETS[start], name=f"{start}-{updates}")
         options = TrainingOptions(preset=preset, seed=seed, iterations=updates)
         result = train(ARM, twin, out=Path(folder), options=options)
         file.write_bytes(result.policy.read_bytes())
