@@ -109,7 +109,7 @@ def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None
 def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
     """Height [m] of the tip on a table; None without, or without known zeros."""
     places, held, weights, usual = [], [], [], _usual_error(logs)
-    for log in logs:
+    for log in map(answered, logs):
         tip, asked = (tcp_position(arm, q) for q in (log.position, log.command))
         counted = (joint_speed(log.time, log.position) < SLOW) & (joint_speed(log.time, log.command) < SLOW)
         counted &= ~_stale(log, usual) & (ZEROS not in log.extra)
@@ -278,9 +278,14 @@ def _recovering(time: Array, rows: Mask) -> Mask:
     return time - np.maximum.accumulate(np.where(rows, time, -np.inf)) <= RECOVERY
 
 
+SPAN = 0.16
+"""[s] of a speed at least; chosen: the steps of encoders are slower"""
+
+
 def joint_speed(time: Array, q: Array) -> Array:
-    """(T,) [rad/s] of the fastest joint of ``q`` (T, n) [rad], over nine rows."""
-    return np.abs(velocity(time, q, 4)).max(axis=1)
+    """(T,) [rad/s] of the fastest joint of ``q`` (T, n) [rad], over nine rows, or `SPAN`."""
+    reach = max(4, round(SPAN / 2 / np.median(np.diff(time)))) if len(time) > 1 else 4
+    return np.abs(velocity(time, q, reach)).max(axis=1)
 
 
 def velocity(time: Array, q: Array, reach: int) -> Array:
