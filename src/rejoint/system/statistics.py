@@ -75,11 +75,11 @@ def _clustered(values: Array, labels: Labels) -> tuple[Array, Array, Labels]:
     return values[known], np.bincount(groups, weights=values[known]).astype(float), np.bincount(groups)
 
 
-def bootstrap_mean(values: Array, labels: Labels, *, fewest: int = FEWEST_CLUSTERS) -> Estimate:
-    """Mean of ``values`` (N,) with interval over clusters ``labels`` (N,), if at least ``fewest``."""
+def bootstrap_mean(values: Array, labels: Labels) -> Estimate:
+    """Mean of ``values`` (N,) with interval over clusters ``labels`` (N,), if at least `FEWEST_CLUSTERS`."""
     values, sums, counts = _clustered(values, labels)
     mean = float(values.mean())
-    if len(counts) < fewest:
+    if len(counts) < FEWEST_CLUSTERS:
         return Estimate(value=mean, low=None, high=None)
     picks = np.random.default_rng(0).integers(0, len(sums), (RESAMPLES, len(sums)))
     means = sums[picks].sum(axis=1) / counts[picks].sum(axis=1)

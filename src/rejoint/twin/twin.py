@@ -15,7 +15,7 @@ from rejoint.arms import Arm, Array, Mask, tcp_position
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.files import Number, Positive, array_of, digest, read_sealed, toml_of, write_sealed
 from rejoint.system.records import Readable, entity, value_type
-from rejoint.system.statistics import NORMAL95, above_zero, bootstrap_mean
+from rejoint.system.statistics import FEWEST_CLUSTERS, NORMAL95, above_zero, bootstrap_mean
 from rejoint.twin.parameters import (
     PARAMETERS,
     Layout,
@@ -29,8 +29,6 @@ from rejoint.twin.parameters import (
 
 LEAST_SPREAD = 0.05
 """Extra sigma of the logarithms of drawn twins; chosen"""
-FEWEST = 3
-"""Motions that an interval needs; chosen"""
 CLEARLY = 0.8
 """Relative error that is clearly smaller in fewer motions; chosen"""
 ROUNDING = 1e-6
@@ -93,9 +91,9 @@ def prediction_error(arm: Arm, predicted: Array, measured: Array) -> PredictionE
 
 def smaller(ours: Array, theirs: Array) -> bool:
     """Whether errors (K,) are measurably smaller in the same motions."""
-    if len(ours) < FEWEST:
+    if len(ours) < FEWEST_CLUSTERS:
         return bool(len(ours) and (ours < CLEARLY * theirs).all())
-    return above_zero(bootstrap_mean(theirs - ours, np.arange(len(ours)), fewest=FEWEST))
+    return above_zero(bootstrap_mean(theirs - ours, np.arange(len(ours))))
 
 
 @entity

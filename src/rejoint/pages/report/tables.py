@@ -9,7 +9,7 @@ from rejoint.control.comparison.result import Comparison, ControllerRow, Protoco
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, interval, listed, measured, number, plural
 from rejoint.system.statistics import NORMAL95, Estimate, Spread, bootstrap_mean
-from rejoint.twin.twin import FEWEST, NO_TWIN, Judgement, smaller
+from rejoint.twin.twin import NO_TWIN, Judgement, smaller
 
 DEG = float(np.degrees(1.0))
 
@@ -116,7 +116,7 @@ def ranked(judgement: Judgement, where: str) -> dict[str, tuple[Estimate, Array]
         errors = np.array([np.nan if one is None else MM * one.tcp for one in each])
         known = errors[np.isfinite(errors)]
         if len(known):
-            found[name] = bootstrap_mean(known, np.arange(len(known)), fewest=FEWEST), errors
+            found[name] = bootstrap_mean(known, np.arange(len(known))), errors
     return dict(sorted(found.items(), key=lambda pair: pair[1][0].value))
 
 
