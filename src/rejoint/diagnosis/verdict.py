@@ -29,6 +29,9 @@ RINGING_RATIO = 0.4
 SWINGING_RATIO = 0.5
 """Damping ratio without ringing: 16 % overshoot (second order)"""
 
+SHOOTING = 0.25
+"""Overshoot of ringing without a damping ratio: that of `RINGING_RATIO`"""
+
 QUIET_COUNTS = 2.0
 """Encoder counts of rms motion at rest beyond flicker"""
 
@@ -257,18 +260,18 @@ def torque_limit(case: _Case) -> Found:
 
 
 def low_damping(case: _Case) -> Found:
-    """Report ringing after a move; at the torque limit, in every step."""
-    ratio, over = case.row.damping_ratio, case.value("overshoot")
-    rings = case.high("damping_ratio") < RINGING_RATIO if case.healthy is None else case.below("damping_ratio")
-    if ratio is None or not rings or not case.high("damping_ratio") < SWINGING_RATIO or not case.moves:
+    """Report ringing after a move; at the torque limit or without a damping ratio, in every step."""
+    ratio, over, least = case.row.damping_ratio, case.value("overshoot"), OVERSHOOT_ALLOWED
+    high, limited = case.high("damping_ratio"), case.row.torque_limit_nm is not None
+    rings = high < SWINGING_RATIO and (high < RINGING_RATIO if case.healthy is None else case.below("damping_ratio"))
+    if ratio is None:  # logs alone
+        least = np.fmax(SHOOTING, _end(case.usual("overshoot").high))
+        rings, limited = case.row.stuck_rad < STUCK_ERROR, True
+    if not rings or not (case.low("overshoot") if limited else over) >= least or not case.moves:  # friction stops it
         return None
-    if not over >= OVERSHOOT_ALLOWED:  # friction stops it: nothing that an owner would see
-        return None
-    if case.row.torque_limit_nm is not None and not case.low("overshoot") >= OVERSHOOT_ALLOWED:
-        return None
+    told = ratio and f"its damping ratio is {ratio.value:.2f}{case.against('damping_ratio', '.2f')}; "
     return case.lever * over * 0.2, (
-        f"rings: its damping ratio is {ratio.value:.2f}{case.against('damping_ratio', '.2f')}; after a step of "
-        f"0.2 rad it shoots {over * 100:.0f} % too far before it settles,"
+        f"rings: {told or ''}after a step of 0.2 rad it shoots {over * 100:.0f} % too far before it settles,"
     )
 
 

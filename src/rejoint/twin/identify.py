@@ -200,8 +200,8 @@ def fitted_twin(
     sagless = np.isin(belief.layout.kind, [number(name) for name in SAGLESS])
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen & (sagless | (not doubted))
     silent = problem.powered.sum(axis=0) == 0
-    errors = (problem.residuals(vector[None])[0], replay.commands - replay.measured)
-    worse = np.subtract(*((one**2).sum(axis=0) for one in errors)) > 0.0  # than the command alone
+    errors = problem.residuals(vector[None])[0] ** 2 - (replay.commands - replay.measured) ** 2
+    worse = errors.sum(axis=0) > 0.0  # than the command alone
     together = sum(told[at(name)] ** -2 for name in SCALE) ** -0.5  # of their scale, by all priors without data
     mute, vague = (np.append(one, False)[problem.owner] for one in (silent | worse, sigma[at("stiffness")] > together))
     # where an interval goes beyond its bound, only the bound tells where it ends
