@@ -178,7 +178,7 @@ NO_LOAD = 2.0
 """No-load speed of a motor over its joint's largest; chosen: the speed of most power"""
 
 BESIDE = 0.5
-"""Share of the damping beside the torque limit of other motors; chosen: viscous friction is there, too"""
+"""Least share of the damping beside the torque limit of other motors; chosen: viscous friction is there, too"""
 
 WRIST_INERTIA = 0.2
 """Share of the largest link inertia that bounds the wrist; chosen"""
@@ -356,11 +356,10 @@ def back_emf(arm: Arm, twin: TwinParameters) -> Array:
     """Return the share (..., n) [N m s/rad] of the damping that acts beside the torque limit; the limit holds the rest.
 
     A servo limits duty, derivative gain included; back-EMF takes torque after that. Outside the
-    catalogue, where no-load speeds are unknown, it is `BESIDE` of the damping.
+    catalogue, where no-load speeds are unknown, it is at least `BESIDE` of the damping.
     """
-    if not is_hobby(arm):
-        return BESIDE * twin.damping
-    return np.minimum(twin.damping, twin.torque_limit / (NO_LOAD * arm.max_speed))
+    least = 0.0 if is_hobby(arm) else BESIDE * twin.damping
+    return np.clip(twin.torque_limit / (NO_LOAD * arm.max_speed), least, twin.damping)
 
 
 RUBBING = 0.15
