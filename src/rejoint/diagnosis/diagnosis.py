@@ -171,7 +171,7 @@ def diagnose_logs(
     if any(log.torque is None and log.current is None for log in logs):
         require_commands(logs, "diagnosis")
     on_progress(0.0, "contacts and stops")
-    height = table_height(arm, logs)
+    height = table_height(arm, list(map(answered, logs)))
     excluded = find_exclusions(arm, logs, height)
     evidence = _evidence(arm, excluded, height)
     data = join_logs(arm, excluded)

@@ -245,7 +245,8 @@ def _steps(log: RunLog, free: Mask, still: Mask, joint: int) -> Iterator[tuple[i
             continue
         first += np.argmax(moved > _SAME)
         last = min(last, np.searchsorted(log.time, log.time[first] + STEP_LENGTH))
-        if free[first:last].all():
+        before = np.searchsorted(log.time, log.time[first] - QUIET)
+        if free[first:last].all() and still[before + 1 : first + 1].all():  # no end of a longer motion
             yield first, last
 
 

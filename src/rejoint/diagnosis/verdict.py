@@ -318,7 +318,7 @@ RULES: dict[str, tuple[str, str, Callable[[_Case], Found]]] = {
     "hysteresis": ("hysteresis_rad", "stopping short of where it is sent", hysteresis),
     "play_in_loop": ("hunting_rad", "loose inside its servo loop, so that it hunts", play_in_loop),
     "torque_limit": ("torque_limit_nm", "out of torque", torque_limit),
-    "low_damping": ("damping_ratio", "badly damped, so that it rings", low_damping),
+    "low_damping": ("overshoot", "badly damped, so that it rings", low_damping),
     "lag": ("lag_s", "late", lag),
     "offset": ("offset_rad", "beside its commands everywhere", offset),
     "noise": ("noise_rad", "restless in its readings", noise),

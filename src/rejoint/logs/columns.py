@@ -265,11 +265,14 @@ _TITLES, _RECORDERS = NAMES["titles"], NAMES["recorders"]
 _PREFIXES = sorted(((one, group) for group, ones in _TITLES.items() for one in ones), key=lambda p: -len(p[0]))
 _EVERY = re.compile(rf"\bJOINT(_({'|'.join(unit for known in UNITS.values() for unit in known if unit.isalpha())}))?$")
 """A meaning that stands for every joint"""
-_ASKED = re.compile(
-    r"(?i)[._ /]((?P<bound>ff|limit|max|min|enabled?)|des(ired)?|ref(erence)?|cmd|command(ed)?|goal|target|setpoint)"
-    r"(?=[._ /\d]|$)"
+_ASKED, _OTHER = (
+    re.compile(rf"(?i)[._ /]({words})(?=[._ /\[\d]|$)")
+    for words in (
+        "des(ired)?|ref(erence)?|cmd|command(ed)?|goal|target|setpoint",
+        "ff|limit|max|min|enabled?|dot|vel(ocity)?|speed|acc(eleration)?|err(or)?",
+    )
 )
-"""Words for what is not measured"""
+"""Words in the titles of what is asked for, and of what is neither position, torque nor current"""
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 
 
@@ -308,7 +311,7 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
         number=motion.number,
         time=table.clock(),
         position=position,
-        command=table.values("command", half)[0] if table.of("command") else None,
+        command=table.commands(half),
         columns=tuple(column.title for column in columns),
         angle_unit="/".join(sorted({*units})),
         half=half,
@@ -507,6 +510,17 @@ class _GroupedColumns:
         factors = np.array([UNITS[group].get(unit, 1.0) for unit in units]) if half is None else half / 100.0
         return raw * factors, columns, units
 
+    def commands(self, half: Array | None) -> Array | None:
+        """Return commands (T, n) [rad], if any; those that are known by a word alone may be of something else."""
+        found = self.of("command")
+        try:
+            return self.values("command", half)[0] if found else None
+        except FileError as error:
+            if any(column.prefix for column in found):
+                raise
+            self.notes.append(f"command left out: {error.problem}")
+            return None
+
     def half_ranges(self) -> Array | None:
         """Half ranges (n,) [rad] of normalised values, by the calibration, or the readings' steps."""
         if self.options.angle_unit != "normalised":
@@ -547,10 +561,14 @@ class _GroupedColumns:
 
 def _classified(title: str, place: int = -1) -> Column | None:
     """Return the column that a title names, or None; a position that is asked for is a command."""
-    found, asked = _begun(title, place), _ASKED.search(f".{title}")
-    if not asked or (found and found.group not in ("position", *SI)):
+    found, dotted = _begun(title, place), f".{title}"
+    if found and found.group not in ("position", *SI):
         return found
-    plain = None if asked["bound"] else _begun(_ASKED.sub("", f".{title}")[1:], place)
+    if _OTHER.search(dotted):
+        return None
+    if not _ASKED.search(dotted):
+        return found
+    plain = _begun(_ASKED.sub("", dotted)[1:], place)
     return plain._replace(title=title, group="command", prefix="") if plain and plain.group == "position" else None
 
 

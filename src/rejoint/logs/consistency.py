@@ -326,10 +326,11 @@ def unwrapped(motion: RecordedMotion, arm: Arm) -> tuple[RecordedMotion, list[Re
     """Join angles that pass the end of a turn, and shift those that a turn brings within limits; so their commands."""
     wraps = (np.abs(np.abs(np.diff(motion.position, axis=0)) - 2 * np.pi) < WRAP).any(axis=0)
     position, command = np.where(wraps, np.unwrap(motion.position, axis=0), motion.position), motion.command
-    ways = position + 2 * np.pi * np.array([0.0, 1.0, -1.0])[:, None, None]
-    within = ((ways > arm.lower) & (ways < arm.upper)).mean(axis=1)
-    best = np.where(~arm.endless & (within.max(axis=0) - within[0] > 1.0 - FAR_OUT), within.argmax(axis=0), 0)
-    position, wraps = np.take_along_axis(ways, best[None, None], axis=0)[0], wraps | (best > 0)
+    turns = np.zeros(arm.joints)
+    for turn in (2 * np.pi, -2 * np.pi):
+        gained = _within(arm, position + turn) - _within(arm, position)
+        turns = np.where(~arm.endless & (gained > 1.0 - FAR_OUT), turn, turns)
+    position, wraps = position + turns, wraps | (turns != 0.0)
     if not wraps.any():
         return motion, []
     if command is not None:
@@ -340,6 +341,12 @@ def unwrapped(motion: RecordedMotion, arm: Arm) -> tuple[RecordedMotion, list[Re
         motion = replace(motion, command=command + 2 * np.pi * np.where(wraps, turns, 0.0))
     said = f"state: {', '.join(compress(motion.columns, wraps))} passes the end of a turn, or is a turn off; joined"
     return replace(motion, position=position), [(said, "")]
+
+
+def _within(arm: Arm, position: Array) -> Array:
+    """Share (n,) of positions (T, n) [rad] within the limits, with their margin."""
+    inside = (position > arm.lower - LIMIT_MARGIN) & (position < arm.upper + LIMIT_MARGIN)
+    return np.asarray(inside.mean(axis=0))
 
 
 def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
@@ -424,7 +431,7 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int] = ()) -> Iterator
     """
     state, command = motion.position, np.asarray(motion.command)
     lowest, highest = correlations(motion.time, state, command)
-    far = (np.ptp(state, axis=0)[:, None] > FAR) & (np.ptp(command, axis=0) > FAR)
+    far = (np.ptp(state, axis=0)[:, None] > FAR / 2) & (np.ptp(command, axis=0) > FAR / 2)
     error, gains = state - command, np.std(state, axis=0) / np.maximum(np.std(command, axis=0), 1e-9)
     yield from _check_copies(motion, command)
     for joint, name in enumerate(motion.columns):

@@ -109,7 +109,7 @@ def find_exclusions(arm: Arm, logs: Sequence[RunLog], table: float | None = None
 def table_height(arm: Arm, logs: Sequence[RunLog]) -> float | None:
     """Height [m] of the tip on a table; None without, or without known zeros."""
     places, held, weights, usual = [], [], [], _usual_error(logs)
-    for log in map(answered, logs):
+    for log in logs:
         tip, asked = (tcp_position(arm, q) for q in (log.position, log.command))
         counted = (joint_speed(log.time, log.position) < SLOW) & (joint_speed(log.time, log.command) < SLOW)
         counted &= ~_stale(log, usual) & (ZEROS not in log.extra)
@@ -283,13 +283,13 @@ SPAN = 0.16
 
 
 def joint_speed(time: Array, q: Array) -> Array:
-    """(T,) [rad/s] of the fastest joint of ``q`` (T, n) [rad], over nine rows, or `SPAN`."""
-    reach = max(4, round(SPAN / 2 / np.median(np.diff(time)))) if len(time) > 1 else 4
-    return np.abs(velocity(time, q, reach)).max(axis=1)
+    """(T,) [rad/s] of the fastest joint of ``q`` (T, n) [rad], over nine rows, and `SPAN`."""
+    return np.abs(velocity(time, q, 4, SPAN)).max(axis=1)
 
 
-def velocity(time: Array, q: Array, reach: int) -> Array:
-    """(T, n) [rad/s] by central differences over ``reach`` rows to either side."""
+def velocity(time: Array, q: Array, reach: int, span: float = 0.0) -> Array:
+    """(T, n) [rad/s] by central differences over ``reach`` rows to either side, and at least ``span`` [s]."""
     rows = np.arange(len(time))
-    before, after = np.maximum(rows - reach, 0), np.minimum(rows + reach, len(time) - 1)
+    before = np.minimum(rows - reach, np.searchsorted(time, time - span / 2)).clip(0)
+    after = np.maximum(rows + reach, np.searchsorted(time, time + span / 2)).clip(max=len(time) - 1)
     return (q[after] - q[before]) / np.maximum(time[after] - time[before], 1e-9)[:, None]
