@@ -316,7 +316,7 @@ def _hand_eye(seen: Array, tool: Array) -> tuple[Array, Array]:
     """
     one, turn = np.eye(3), tool[:, :3, :3]
     rows = [np.hstack([np.kron(m.T, one), -np.kron(one, f)]) for m, f in zip(seen[:, :3, :3], turn, strict=True)]
-    both = np.linalg.svd(np.vstack(rows), full_matrices=False)[2][-1].reshape(2, 3, 3).swapaxes(1, 2)
+    both = np.linalg.svd(np.vstack(rows), full_matrices=False)[2][-1].reshape(2, 3, 3).mT
     a, b = Rotation.from_matrix(both / np.cbrt(np.linalg.det(both))[:, None, None]).as_matrix()
     left = np.concatenate([np.broadcast_to(one, turn.shape), -turn], axis=2).reshape(-1, 6)
     shift = np.linalg.lstsq(left, (tool[:, :3, 3] - seen[:, :3, 3] @ a.T).ravel(), rcond=None)[0]

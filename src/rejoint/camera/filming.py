@@ -64,7 +64,7 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0) -> Array:
     spread = np.linalg.inv(own.precision).astype(float)
     chosen: list[int] = []
     for _ in range(count):
-        gain = np.linalg.slogdet(np.eye(6) + slope @ spread @ np.swapaxes(slope, -1, -2))[1]
+        gain = np.linalg.slogdet(np.eye(6) + slope @ spread @ slope.mT)[1]
         gain[chosen] = -np.inf
         chosen.append(int(np.argmax(gain)))
         spread = narrowed(spread, slope[chosen[-1]], np.eye(6))

@@ -161,7 +161,7 @@ class Rig:
         base = self.tool(board)
         rows = [difference(self.tool(moved(board, _STEP * row)), base) / _STEP for row in np.eye(6)]
         slope = np.stack(rows, axis=-1)
-        return slope @ covariance @ np.swapaxes(slope, -1, -2)
+        return slope @ covariance @ slope.mT
 
     def sight(self, tool: Array) -> Array:
         """Board poses (..., 4, 4) in the camera, for ``tool`` (..., 4, 4)."""

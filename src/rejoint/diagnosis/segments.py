@@ -155,7 +155,7 @@ def inertial_torque(arm: Arm, time: Array, position: Array) -> Array:
 
     com = f.position + np.einsum("...nij,nj->...ni", f.rotation, arm.com)
     spin = np.cumsum(rate(position)[..., None] * f.axis, axis=1)
-    inertia = f.rotation @ arm.inertia @ np.swapaxes(f.rotation, -1, -2)
+    inertia = f.rotation @ arm.inertia @ f.rotation.mT
     force = arm.mass[:, None] * rate(rate(com))
     moment = np.cross(com, force) + rate(np.einsum("...ij,...j->...i", inertia, spin))
     force, moment = (np.cumsum(one[:, ::-1], axis=1)[:, ::-1] for one in (force, moment))  # of all behind each joint

@@ -211,7 +211,7 @@ def scatter(arm: Arm, displacement: Displacement, position: Array, joint: float 
     """
     lever = jacobian(arm, position)
     variance = SCATTER * (0.5 * displacement.play) ** 2 * displacement.floats(arm, position) + joint**2
-    return (lever * variance[..., None, :]) @ np.swapaxes(lever, -1, -2)
+    return (lever * variance[..., None, :]) @ lever.mT
 
 
 def floor_of(arm: Arm) -> float:
@@ -295,7 +295,7 @@ class Calibration(Readable):
         """
         spread = self.spread(position)
         middle = self.tool(position) - (tcp_position(self.arm, position) if target is None else target)
-        draws = np.random.default_rng(0).standard_normal((_DRAWS, 3)) @ np.swapaxes(np.linalg.cholesky(spread), -1, -2)
+        draws = np.random.default_rng(0).standard_normal((_DRAWS, 3)) @ np.linalg.cholesky(spread).mT
         distances = np.linalg.norm(middle[..., None, :] + draws, axis=-1)
         low, high = np.quantile(distances, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=-1)
         there = (middle[..., None] * np.linalg.solve(spread, middle[..., None])).sum(axis=(-2, -1)) < _NEAR

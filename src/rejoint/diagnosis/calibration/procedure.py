@@ -182,7 +182,7 @@ def _most_telling(slope: Array, noise: Array, covariance: Array, weight: Array, 
     Candidates have ``slope`` (C, d, k) and ``noise`` (C, d, d).
     """
     told = slope @ covariance
-    gain = np.linalg.solve(told @ np.swapaxes(slope, -1, -2) + noise, told @ weight @ np.swapaxes(told, -1, -2))
+    gain = np.linalg.solve(told @ slope.mT + noise, told @ weight @ told.mT)
     variance = np.trace(gain, axis1=1, axis2=2)
     variance[chosen] = -np.inf
     return int(np.argmax(variance))
