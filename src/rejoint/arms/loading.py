@@ -196,11 +196,10 @@ def unit_arm(arm: Arm, displacement: Displacement) -> Arm:
     return replace(moved, offset=offset)
 
 
-def write_urdf(path: Path, arm: Arm, note: str = "") -> None:
+def write_urdf(path: Path, arm: Arm, note: str) -> None:
     """Write a URDF with links `BASE`, ``link1``, ..., `TOOL`, and ``note`` as a comment."""
     root = ET.Element("robot", name=arm.name)
-    if note:
-        root.append(ET.Comment(f" {re.sub('-+', '-', note)} "))
+    root.append(ET.Comment(f" {re.sub('-+', '-', note)} "))
     links = [BASE, *(f"link{i + 1}" for i in range(arm.joints)), TOOL]
     _add(root, "link", name=BASE)
     for i, pose in enumerate([*arm.offset, arm.tip]):

@@ -130,7 +130,7 @@ _LINE = 0.2  # [mm] width of lines (chosen)
 _TEXT = 3.2  # [mm] size of letters (chosen)
 
 
-def write_pdf(path: Path, board: Board, page: str = "A4") -> None:
+def write_pdf(path: Path, board: Board, page: str) -> None:
     """Draw ``board`` as a PDF; InputError where it does not fit."""
     picture = page_of(board, page)
     write_whole(path, lambda temporary: picture.save(temporary, format="PDF", resolution=DOTS * 25.4))

@@ -71,16 +71,16 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0) -> Array:
     return candidates[chosen]
 
 
-def scouting_postures(arm: Arm, carried: str, count: int) -> Array:
-    """Choose postures (count, n) [rad] about rest, far apart."""
+def scouting_postures(arm: Arm, carried: str) -> Array:
+    """Choose `SCOUTS` postures (s, n) [rad] about rest, far apart."""
     drawn = seen_postures(arm, None, CANDIDATES, 0, spread=SCOUTING[carried])
-    if len(drawn) < count:
+    if len(drawn) < SCOUTS:
         raise InputError(
             f"arm {arm.name}: {len(drawn)} postures about the rest posture are free of floor, limits and collisions, "
-            f"expected at least {count}; give the arm another rest posture"
+            f"expected at least {SCOUTS}; give the arm another rest posture"
         )
     chosen = [arm.rest]
-    while len(chosen) < count:
+    while len(chosen) < SCOUTS:
         apart = np.linalg.norm(drawn[:, None] - np.array(chosen), axis=-1).min(axis=1)
         chosen.append(drawn[int(np.argmax(apart))])
     return np.array(chosen)
@@ -183,7 +183,7 @@ class CameraGauge:
                     )
 
             try:
-                for place, posture in enumerate(scouting_postures(arm, self.carried, SCOUTS)):
+                for place, posture in enumerate(scouting_postures(arm, self.carried)):
                     shoot(place + 1, posture, place)
                 scouted = replace(film, shots=film.shots[:SCOUTS])
                 for place, posture in enumerate(choose_postures(arm, scouted.located(arm, FEWEST_SCOUTS)[0], count)):

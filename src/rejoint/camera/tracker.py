@@ -32,7 +32,7 @@ _TRIES = 30  # frames that may fail before the camera counts as gone: a second
 class LiveCamera:
     """A camera by its number, as a context manager; its settings stay."""
 
-    number: int = 0
+    number: int
     size: tuple[int, int] = SIZE
 
     def __enter__(self) -> LiveCamera:
@@ -96,7 +96,7 @@ FROZEN = 10
 class LiveEye:
     """Looks at the pictures of an open camera in a thread of its own."""
 
-    def __init__(self, camera: LiveCamera, rig: Rig, name: str = "camera") -> None:
+    def __init__(self, camera: LiveCamera, rig: Rig, name: str) -> None:
         self.name = name
         self.why = ""
         """why the last picture was unusable, or empty"""

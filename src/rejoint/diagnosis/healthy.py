@@ -152,7 +152,7 @@ def _wider(range_: Estimate | None, by: float) -> Estimate | None:
     return range_ and replace(range_, high=(range_.high or 0.0) + by)
 
 
-def measure_healthy(arm: Arm, *, count: int = ARMS, p: int = AS_SOLD) -> HealthyReference:
+def measure_healthy(arm: Arm, *, count: int = ARMS, p: int) -> HealthyReference:
     """Diagnose emulated healthy arms; ``p``: gain of an arm in `NEW`."""
     new = _new(arm)
     profile = new or ("new" if arm.servos else "healthy")

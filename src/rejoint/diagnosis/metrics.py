@@ -216,9 +216,9 @@ class Law(LinearFit):
 
     torque_range: float
     """[N m] of gravity"""
-    follows: float = 1.0
+    follows: float
     """share of the sag by any masses that the arm's own explain; 1 for hobby servos"""
-    moments: Array | None = None
+    moments: Array | None
     """(4 n + 1, 4 n + 1) of `gravity_terms` and, last, error, in standard errors; None for hobby servos"""
 
 

@@ -424,7 +424,7 @@ APART = 0.5
 """[rad] median following error beyond any sag"""
 
 
-def check_agreement(motion: RecordedMotion, off: Sequence[int] = ()) -> Iterator[Remark]:
+def check_agreement(motion: RecordedMotion, off: Sequence[int]) -> Iterator[Remark]:
     """Check states against the commands in force, but those of joints that are ``off``.
 
     Exchanged joints, duplicates, implausible lags and scales.

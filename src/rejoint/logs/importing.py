@@ -154,7 +154,7 @@ class Imported:
     logs: tuple[RunLog, ...]
     notes: tuple[str, ...]
     """omissions and oddities"""
-    skipped: tuple[str, ...] = ()
+    skipped: tuple[str, ...]
     """failed logs with reasons"""
 
 

@@ -17,7 +17,7 @@ from rejoint.control.robot import JointState, Robot, WatchedRobot
 from rejoint.logs.history import plain_name
 from rejoint.logs.runfolder import RunFolder
 from rejoint.runs.failure import failure_of, kept
-from rejoint.runs.run import RUNS, Run, newest_or_new
+from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import LOGGER, InputError, NotReadyError, RejointError
 from rejoint.system.files import unused
 from rejoint.system.records import entity
@@ -79,7 +79,7 @@ class Studio(Observer):
     A job calls the public functions, or the session of `arm`, with `observer`.
     """
 
-    def __init__(self, home: Path = RUNS) -> None:
+    def __init__(self, home: Path) -> None:
         """Begin without an arm; runs are below ``home``."""
         self.home = home
         self.observer: Observer = self

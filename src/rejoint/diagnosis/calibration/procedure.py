@@ -260,7 +260,7 @@ class EmulatedGauge:
     """Reads the tool of an emulated arm, with noise."""
 
     sigma: float = NOISE
-    seed: int = 0
+    seed: int
     source: str = "emulated"
     frame: str = "base"
     _rng: np.random.Generator = field(init=False)

@@ -117,8 +117,8 @@ class Series:
 @STYLED
 def canvas(
     size: tuple[float, float],
-    rows: int = 1,
-    columns: int = 1,
+    rows: int,
+    columns: int,
     **grid: Any,  # noqa: ANN401 - of Matplotlib
 ) -> tuple[Figure, NDArray[Any]]:
     """Figure of ``size`` [inch] with styled axes (rows, columns); ``grid`` as for `Figure.subplots`."""
@@ -162,7 +162,7 @@ Stroke = tuple[Array, dict[str, Any]]
 
 
 @STYLED
-def plane(axes: Axes, view: str, strokes: Sequence[Stroke], title: str = "") -> None:
+def plane(axes: Axes, view: str, strokes: Sequence[Stroke], title: str) -> None:
     """Draw strokes as seen in one of `VIEWS`."""
     across, up = VIEWS[view]
     for points, look in strokes:
@@ -192,7 +192,7 @@ class Picture:
     """One embedded figure."""
 
     svg: Markup
-    caption: str = ""
+    caption: str
 
 
 class Gallery:
