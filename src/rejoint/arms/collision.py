@@ -58,7 +58,7 @@ class CollisionShape(NamedTuple):
 def collision_shape(arm: Arm) -> CollisionShape:
     """Capsules and their pairs."""
     solution, links = posture_grid(arm, GRID), arm.joints + 1
-    free = np.concatenate([arm.rest[None], solution.q[solution.converged]])  # rest and targets: without contacts
+    free = np.vstack([arm.rest, solution.q[solution.converged]])  # rest and targets: without contacts
     radius, ground = LINK_RADIUS_RATIO * reach(arm), min(GROUND, arm.floor)
     places = np.flatnonzero(np.append(0.0, heights(arm, arm.rest)) > ground + radius)
     apart = np.transpose(np.triu_indices(links, 2))

@@ -62,7 +62,7 @@ def quaternion_of(rotation: Array) -> Array:
 def same_side(quaternions: Array) -> Array:
     """Quaternions (K, 4), each on the side of the one before."""
     opposite = (quaternions[1:] * quaternions[:-1]).sum(axis=-1) < 0.0
-    return quaternions * np.concatenate([[1.0], np.cumprod(np.where(opposite, -1.0, 1.0))])[:, None]
+    return quaternions * np.append(1.0, np.cumprod(np.where(opposite, -1.0, 1.0)))[:, None]
 
 
 def pose_of(rotation: Array, position: Array) -> Array:

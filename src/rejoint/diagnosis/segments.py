@@ -223,7 +223,7 @@ def _spans(number: int, rows: Exclusions, time: Array) -> Iterator[Segment]:
         return Segment(name=kind, kind=kind, start=start, stop=stop, joints=joints, log=number)
 
     everyone = tuple(range(log.position.shape[1]))
-    still = np.concatenate([np.ones((1, len(everyone)), dtype=bool), np.abs(np.diff(log.command, axis=0)) < _SAME])
+    still = np.abs(np.diff(log.command, axis=0, prepend=log.command[:1])) < _SAME
     for first, last in free_runs(free, time, SHORTEST):
         count = int(np.ceil((time[last - 1] - time[first]) / LONGEST))
         edges = np.linspace(first, last, count + 1).astype(int).tolist()

@@ -116,7 +116,7 @@ def _of_steps(moved: Array, held: Array, step: float, quiet: int) -> Lag | None:
     for way, asked in zip(moved.T, held.T, strict=True):
         change = np.diff(asked)
         changes = np.flatnonzero(change) + 1
-        gaps = np.diff(np.concatenate([[0], changes, [len(held) - 1]]))
+        gaps = np.diff(changes, prepend=0, append=len(held) - 1)
         alone = (gaps[:-1] >= quiet * reach) & (gaps[1:] >= reach)
         for at in changes[alone & (np.abs(change[changes - 1]) > _JUMP)]:
             near = way[at - reach : at + reach + 1] - way[at - reach]
@@ -209,7 +209,7 @@ def clean(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]]:
             f"state, {motion.where(late)}: the clock goes back by {-steps[late - 1]:.6g} s",
             "cut the file where the clock was set, or in a bag take the times of recording (--stamp log)",
         )
-    fresh = np.concatenate([[True], steps > 0])[:rows]
+    fresh = np.append(True, steps > 0)[:rows]
     other = np.any(np.diff(motion.position, axis=0), axis=1)
     gone, lost, steps = (other & ~fresh[1:]).sum(), (~fresh).sum(), steps[steps > 0]
     if rows - lost < FEWEST:

@@ -219,7 +219,7 @@ def show(studio: Studio, picture: Picture, seen: BoardView) -> None:
         for x, y in np.rint(seen.pixel).astype(int).tolist():
             cv2.circle(drawn, (x, y), max(picture.shape[1] // 120, 3), (30, 160, 90), -1)
     height = round(WIDTH * picture.shape[0] / picture.shape[1])
-    studio.change(picture=np.asarray(cv2.resize(drawn, (WIDTH, height), interpolation=cv2.INTER_AREA)))
+    studio.change(picture=cv2.resize(drawn, (WIDTH, height), interpolation=cv2.INTER_AREA))
 
 
 RULER, CAMERA, EMULATOR = "a ruler or calliper", "a camera and a printed board", "the emulator"
