@@ -145,16 +145,15 @@ def choose_postures(
     """
     places, starts = np.asarray(targets, dtype=float), np.asarray(start, dtype=float)
     goals, load = goals_of(places, turn), _load_of(arm, motors)
-    q = np.array(np.broadcast_to(starts, (len(places), arm.joints)), order="C")
+    q = starts + np.zeros((len(places), 1))
     nearest, refusals = places.copy(), [""] * len(places)
     for k, goal in enumerate(goals):
         begin = q[k - 1] if chained and k else q[k]
         near = chained and k > 0 and _neighbours(arm, goal, goals[k - 1])
         found = _choose(arm, load, goal, begin, near)
-        if found is None and not thorough:
-            refusals[k], found, nearest[k] = "not found at once", begin, tcp_position(arm, begin)
-        elif found is None:
-            refusals[k], found, nearest[k] = _refuse(arm, load, goal, begin)
+        if found is None:
+            at_once = "not found at once", begin, tcp_position(arm, begin)
+            refusals[k], found, nearest[k] = _refuse(arm, load, goal, begin) if thorough else at_once
         q[k] = found
     return Goals(q=q, refusals=tuple(refusals), nearest=nearest)
 
