@@ -20,6 +20,7 @@ from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, power
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
+from rejoint.system.records import value_type
 from rejoint.system.statistics import NORMAL95
 from rejoint.twin.fit import CLUSTER, SCALES, Fit, Problem, explained, fit, uncertainty
 from rejoint.twin.judge import TIMESTEP, Candidate, judge, predict_logs
@@ -118,7 +119,7 @@ FREEDOM = 1.0
 """Degrees of freedom of window errors; chosen"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@value_type
 class LogSettings:
     """Settings of an identification from logs."""
 

@@ -64,7 +64,7 @@ class Parameter:
     """they scale with the arm's speed"""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class TwinParameters(Servos):
     """Physical parameters of one twin or a batch, with any leading shape."""
 
@@ -116,17 +116,17 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(name="stiffness", unit="N m/rad", meaning="servo torque per angle between command and joint",
               nominal=7.0, sigma=0.7, healthy=5.0, lower=0.5, upper=200.0, wrist=0.8, by_load=True, scaled=True,
               # chosen: geometric middle of worn (7) and healthy (35 N m/rad) hobby servos; stiffer within three sigma
-              wide={"nominal": 16.0, "sigma": 0.9, "upper": 1000.0, "wrist": 1.0,
+              wide={"nominal": 16.0, "sigma": 0.9, "upper": 1000.0,
                     "alike": 0.05}),  # chosen: motors and voltages of one make differ by some percent
     Parameter(name="damping", unit="N m s/rad", meaning="viscous friction and derivative gain together",
               nominal=0.25, sigma=0.8, lower=0.005, upper=20.0, wrist=0.6, healthy=3.2, by_load=True, by_time=1,
               scaled=True,
               # chosen: a servo that follows within 50 ms; damping over stiffness is that lag
-              wide={"nominal": 0.8, "sigma": 0.9, "upper": 100.0, "wrist": 1.0, "alike": 0.2}),
+              wide={"nominal": 0.8, "sigma": 0.9, "upper": 100.0, "alike": 0.2}),
     Parameter(name="coulomb", unit="N m", meaning="dry friction",
               nominal=0.08, sigma=0.8, healthy=0.6, lower=0.002, upper=2.0, wrist=0.5, by_load=True, scaled=True,
               # chosen: 0.03 to 1.5 N m within two sigma
-              wide={"nominal": 0.2, "sigma": 1.0, "upper": 10.0, "wrist": 1.0}),
+              wide={"nominal": 0.2, "sigma": 1.0, "upper": 10.0}),
     Parameter(name="load_friction", unit="1", meaning="dry friction per torque that the gears pass on",
               nominal=0.0, sigma=1e-4, lower=0.0, upper=2.0, log=False, difference=0.02,
               wide={"sigma": 0.3}),  # chosen: gears take up to half of what they pass on
@@ -142,7 +142,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter(name="torque_limit", unit="N m", meaning="largest torque of the servo",
               nominal=0.92, sigma=0.35, healthy=2.2, lower=0.05, upper=5.0, wrist=0.5, by_load=True,
               # chosen: twice and more what the arm weighs, or no one would have recorded it moving
-              wide={"nominal": 3.0, "sigma": 0.7, "upper": 50.0, "wrist": 1.0, "alike": 0.1}),
+              wide={"nominal": 3.0, "sigma": 0.7, "upper": 50.0, "alike": 0.1}),
     Parameter(name="offset", unit="rad", meaning="unloaded joint position minus command",
               nominal=0.0, sigma=0.01, lower=-0.1, upper=0.1, log=False, difference=0.005,
               wide={"sigma": 0.02, "lower": -0.2, "upper": 0.2}),
@@ -257,8 +257,9 @@ def flat(parameters: TwinParameters) -> Array:
 
 def shaped(values: Array, joints: int) -> TwinParameters:
     """Inverse of `flat` for ``values`` (..., k)."""
-    parts = {p.name: values[..., Layout(joints).at(p.name)] for p in PARAMETERS}
-    return TwinParameters(**{p.name: parts[p.name] if p.per_joint else parts[p.name][..., 0] for p in PARAMETERS})
+    at = Layout(joints).at
+    places = {p.name: at(p.name) if p.per_joint else at(p.name).start for p in PARAMETERS}
+    return TwinParameters(**{name: values[..., place] for name, place in places.items()})
 
 
 def pack(parameters: TwinParameters) -> Array:
@@ -396,8 +397,8 @@ def _wrist(arm: Arm) -> Mask:
     return inertia < WRIST_INERTIA * inertia.max()
 
 
-UNKNOWN_PARAMETERS: tuple[Parameter, ...] = tuple(replace(p, **p.wide) for p in PARAMETERS)  # type: ignore[arg-type]
-"""For an unknown arm"""
+UNKNOWN_PARAMETERS: tuple[Parameter, ...] = tuple(replace(p, wrist=1.0, **p.wide) for p in PARAMETERS)  # type: ignore[arg-type]
+"""For an unknown arm, whose wrist may be as strong as its other joints"""
 
 
 def unknown_prior(arm: Arm) -> Prior:
