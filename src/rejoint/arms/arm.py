@@ -6,6 +6,7 @@ with joint i. ``tip`` is the tool centre point (TCP) in the last frame.
 
 from dataclasses import dataclass, fields
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -51,8 +52,7 @@ class Box:
 
     def grid(self, per_edge: int) -> Array:
         """Points (per_edge^3, 3) [m] of a grid."""
-        axes = np.linspace(self.lower, self.upper, per_edge).T
-        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        return np.array([*product(*np.linspace(self.lower, self.upper, per_edge).T)])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -161,8 +161,7 @@ class _Field:
 
     def passes(self, start: Array, goal: Array, *, leaving: bool = False) -> tuple[float, int]:
         """Clear share (0 to 1) of a straight piece, and the distance that ends it."""
-        share, item = redundancy.passable(self.body, start, goal, self.least, leaving)
-        return share, item
+        return redundancy.passable(self.body, start, goal, self.least, leaving)
 
     def blocked(self, item: int, q: Array) -> str:
         """Name the obstacle at ``q`` (n,)."""

@@ -103,8 +103,6 @@ class StudioPage(WebPage):
         host, origin = head.get("Host", ""), head.get("Origin")
         if origin is not None and urlsplit(origin).netloc != host:
             return _text(HTTPStatus.FORBIDDEN, "This page is used from its own address alone.")
-        if not self._token and not is_loopback(urlsplit(f"//{host}").hostname or ""):
-            return _text(HTTPStatus.FORBIDDEN, "This page is for this computer alone.")
         if self._token:
             given = parse_qs(path.query).get("token", [""])[0]
             if secrets.compare_digest(given.encode(), self._token.encode()):
@@ -113,6 +111,8 @@ class StudioPage(WebPage):
             crumb = SimpleCookie(head.get("Cookie", "")).get("rejoint")
             if crumb is None or not secrets.compare_digest(crumb.value.encode(), self._token.encode()):
                 return _text(HTTPStatus.FORBIDDEN, "Open the address with the token that rejoint studio has printed.")
+        elif not is_loopback(urlsplit(f"//{host}").hostname or ""):
+            return _text(HTTPStatus.FORBIDDEN, "This page is for this computer alone.")
         if path.path == "/report":
             run = self.studio.run
             if run is None or not run.page.exists():

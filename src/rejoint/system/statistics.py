@@ -78,7 +78,7 @@ def _clustered(values: Array, labels: Labels) -> tuple[Array, Array, Labels]:
 def bootstrap_mean(values: Array, labels: Labels) -> Estimate:
     """Mean of ``values`` (N,) with interval over clusters ``labels`` (N,), if at least `FEWEST_CLUSTERS`."""
     values, sums, counts = _clustered(values, labels)
-    mean = float(values.mean())
+    mean = values.mean()
     if len(counts) < FEWEST_CLUSTERS:
         return Estimate(value=mean, low=None, high=None)
     picks = np.random.default_rng(0).integers(0, len(sums), (RESAMPLES, len(sums)))

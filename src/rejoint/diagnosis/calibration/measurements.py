@@ -202,7 +202,7 @@ def _from_csv(path: Path, arm: Arm, frame: str, sigma: float) -> Measurements:
 def _require_units(path: Path, arm: Arm, measured: Measurements, lines: Numbers) -> None:
     beyond = (measured.position < arm.lower - BEYOND) | (measured.position > arm.upper + BEYOND)
     if beyond.any():
-        row, joint = (index for index in np.argwhere(beyond)[0])
+        row, joint = np.argwhere(beyond)[0]
         low, high = np.degrees(arm.lower[joint]), np.degrees(arm.upper[joint])
         angle = np.degrees(measured.position[row, joint])
         raise FileError(
