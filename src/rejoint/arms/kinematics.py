@@ -210,7 +210,7 @@ def solve_position(
     solution it ends at the least weighted sum of squares nearby.
     """
     shape = np.broadcast_shapes(target.shape[:-1], start.shape[:-1])
-    q = rows_of(arm, start + np.zeros((*shape, 1)))  # a copy, which the search moves
+    q = rows_of(arm, start + np.zeros((*shape, arm.joints)))  # a copy, which the search moves
     goals, missed = goals_of(np.broadcast_to(target, (*shape, 3)), turn).reshape(-1, 17), np.empty(len(q))
     compiled.solve_all(chain_of(arm), goals, q, rest_gain, iterations, tolerance, missed)
     return Solution(q=q.reshape(*shape, arm.joints), converged=(missed < tolerance).reshape(shape))

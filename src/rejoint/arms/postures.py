@@ -145,7 +145,7 @@ def choose_postures(
     """
     places, starts = np.asarray(targets, dtype=float), np.asarray(start, dtype=float)
     goals, load = goals_of(places, turn), _load_of(arm, motors)
-    q = starts + np.zeros((len(places), 1))
+    q = starts + np.zeros((len(places), arm.joints))
     nearest, refusals = places.copy(), [""] * len(places)
     for k, goal in enumerate(goals):
         begin = q[k - 1] if chained and k else q[k]

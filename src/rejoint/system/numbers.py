@@ -74,10 +74,7 @@ def as_place(
     """Return a point (3,) [m], or points of so many ``axes``; InputError for anything else, and for millimetres."""
     place = as_floats(what, given, expected)
     if (
-        place.size
-        and place.ndim in axes
-        and place.shape[-1] == 3
-        and np.all(np.abs(place) <= most)  # neither holds for NaN
+        place.size and place.ndim in axes and place.shape[-1] == 3 and np.all(np.abs(place) <= most)  # which no NaN is
     ):
         return place
     raise InputError(
