@@ -258,8 +258,8 @@ class RunLog:
         if self.period > LONGEST_PERIOD:
             raise InputError(f"run log {self.label}: its rows are {self.period:.4g} s apart; give times in seconds")
         for what, values in (("position", self.position), ("command", self.command)):
-            farthest = np.abs(values).max(initial=0.0, where=~arm.endless)
-            if farthest > TWO_TURNS:  # which NaN is not
+            farthest = np.abs(values).max(initial=0.0, where=np.isfinite(values) & ~arm.endless)
+            if farthest > TWO_TURNS:
                 raise InputError(
                     f"run log {self.label}: a {what} of {farthest:.4g} rad, beyond two turns; give radians"
                 )
