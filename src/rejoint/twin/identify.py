@@ -208,7 +208,7 @@ def fitted_twin(
     # where an interval goes beyond its bound, only the bound tells where it ends
     identified &= ~mute & ~((vague | (vector + NORMAL95 * sigma > belief.upper)) & belief.layout.is_log)
     held, limit = largest_static_torque(replay.arm, logs, parameters.coulomb), parameters.torque_limit
-    identified[place] &= ~unreached
+    identified[place] &= ~unreached & is_hobby(replay.arm)  # others may have any no-load speed
     least = np.exp(vector - NORMAL95 * sigma)[at("stiffness")]
     light = np.abs(problem.gravity) < LIGHT_SAG * least
     identified[at("offset")] &= identified[at("stiffness")] | light  # of unknown stiffness, it holds what is sag
