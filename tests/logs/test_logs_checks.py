@@ -40,7 +40,7 @@ def check(**changed: Array) -> tuple[RunLog, str]:
 def test_a_clean_log_has_no_notes():
     log, notes = check()
     assert notes == ""
-    assert log.position.tolist() == GOOD.position.tolist()
+    assert (log.position == GOOD.position).all()
 
 
 def test_doubled_stamps_are_left_out_and_told():
@@ -66,6 +66,11 @@ RATE = r"one sample in .* s, expected 1 to 10000 Hz; set the time unit"
 def test_what_no_arm_did_is_refused(wrong: dict[str, Array], said: str):
     with pytest.raises(FileError, match=said):
         check(**wrong)
+
+
+def test_angles_a_turn_off_are_brought_into_limits():
+    log, _ = check(position=GOOD.position % (2 * np.pi), command=GOOD.command % (2 * np.pi))
+    np.testing.assert_allclose(log.position, GOOD.position, atol=1e-9)
 
 
 def test_a_joint_that_turns_all_around_has_no_end() -> None:

@@ -81,7 +81,7 @@ def test_each_command_holds_until_the_next_of_its_joint(tmp_path, way: str):
     np.testing.assert_array_equal(log.command, held[kept])
 
 
-@pytest.mark.parametrize(("kind", "sent"), [("records", "command"), ("columns", "q_d"), ("arrays", "q_target")])
+@pytest.mark.parametrize(("kind", "sent"), [("records", "command"), ("columns", "q_des"), ("arrays", "q_target")])
 def test_parts_of_what_json_and_archives_hold_are_joints(tmp_path, kind: str, sent: str):
     found, source = worn_sample(seconds=8), tmp_path / "log.json"
     names, position, command = ARM.joint_names[::-1], np.rad2deg(found.position), found.command

@@ -35,11 +35,6 @@ def test_golden_bytes(frame, text):
     assert split(bytes.fromhex(text)) == ([frame], b"")
 
 
-@given(st.lists(frames, max_size=5))
-def test_what_is_encoded_is_decoded(sent):
-    assert split(b"".join(encode(frame) for frame in sent)) == (sent, b"")
-
-
 @given(nasty | st.binary(max_size=200), st.lists(st.integers(1, 7), max_size=40))
 def test_pieces_give_the_same_frames_as_the_whole(stream, sizes):
     decoder, got, at = Finder(FORMAT), [], 0
