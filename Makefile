@@ -40,7 +40,7 @@ check: $(READY)
 
 # The site, in site/. A broken link or a warning is an error; the theme's notice about its successor is none.
 docs: $(VENV)/docs
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 bench: $(VENV)/bench
 	$(if $(LOGS),REJOINT_SO101="$(LOGS)") $(BIN)/python -m benchmarks
