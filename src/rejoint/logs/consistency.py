@@ -339,7 +339,7 @@ def unwrapped(motion: RecordedMotion, arm: Arm) -> tuple[RecordedMotion, list[Re
         last = np.minimum.accumulate(rows[::-1], axis=0)[::-1]
         turns = np.round((np.take_along_axis(position, last, axis=0) - command) / (2 * np.pi))
         motion = replace(motion, command=command + 2 * np.pi * np.where(wraps, turns, 0.0))
-    said = f"state: {', '.join(compress(motion.columns, wraps))} passes the end of a turn, or is a turn off; joined"
+    said = f"state: {', '.join(compress(motion.columns, wraps))}: joined at the ends of turns, or turned into limits"
     return replace(motion, position=position), [(said, "")]
 
 
