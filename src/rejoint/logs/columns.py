@@ -266,7 +266,7 @@ _PREFIXES = sorted(((one, group) for group, ones in _TITLES.items() for one in o
 _EVERY = re.compile(rf"\bJOINT(_({'|'.join(unit for known in UNITS.values() for unit in known if unit.isalpha())}))?$")
 """A meaning that stands for every joint"""
 _ASKED, _OTHER = (
-    re.compile(rf"(?i)[._ /]({words})(?=[._ /\[\d]|$)")
+    re.compile(rf"(?i)(^|[._ /])({words})(?=[._ /\[\d]|$)")
     for words in (
         "des(ired)?|ref(erence)?|cmd|command(ed)?|goal|target|setpoint",
         "ff|limit|max|min|enabled?|dot|vel(ocity)?|speed|acc(eleration)?|err(or)?",
@@ -289,6 +289,8 @@ class Column(NamedTuple):
     """in the title"""
     prefix: str = ""
     """beginning of the title by which the group was found"""
+    asked: bool = False
+    """a command by a word in the title alone"""
     scale: float = 1.0
     offset: float = 0.0
     """in the column's unit"""
@@ -352,8 +354,8 @@ class _GroupedColumns:
         self.motion, self.arm, self.options = motion, arm, options
         self.notes, self.extra = [*motion.notes], {**motion.extra}
         self.columns = {i: found for i, title in enumerate(motion.titles) if (found := _classified(title, i))}
-        sent = any(column.prefix for column in self.of("command"))  # not only asked for
-        self.columns = {i: one for i, one in self.columns.items() if one.prefix or not sent}
+        sent = any(not column.asked for column in self.of("command"))
+        self.columns = {i: one for i, one in self.columns.items() if not (sent and one.asked)}
         self.implied = {"time": motion.time_unit, **dict.fromkeys(MOTION, motion.angle_unit)}
         self.implied |= dict.fromkeys((*SI, "gain", "powered"), "")
         prefixes = (column.prefix for column in self.columns.values())
@@ -427,7 +429,7 @@ class _GroupedColumns:
                 column = column._replace(unit=meaning.unit or column.unit, scale=scale, offset=offset)
             else:  # the gear's torque, the motor's current, and what has no gear
                 column = column._replace(scale={"torque": 1.0 / scale, "current": np.sign(scale)}.get(group, 1.0))
-            found.append(column._replace(group=group, name=name))
+            found.append(column._replace(group=group, name=name, asked=False))
         return found
 
     def _unit(self, column: Column) -> str:
@@ -516,9 +518,9 @@ class _GroupedColumns:
         try:
             return self.values("command", half)[0] if found else None
         except FileError as error:
-            if any(column.prefix for column in found):
+            if not all(column.asked for column in found):
                 raise
-            self.notes.append(f"command left out: {error.problem}")
+            self.notes.append(f"command left out: {error.problem}; {error.remedy}")
             return None
 
     def half_ranges(self) -> Array | None:
@@ -561,15 +563,15 @@ class _GroupedColumns:
 
 def _classified(title: str, place: int = -1) -> Column | None:
     """Return the column that a title names, or None; a position that is asked for is a command."""
-    found, dotted = _begun(title, place), f".{title}"
+    found = _begun(title, place)
     if found and found.group not in ("position", *SI):
         return found
-    if _OTHER.search(dotted):
+    if _OTHER.search(title):
         return None
-    if not _ASKED.search(dotted):
+    if not _ASKED.search(title):
         return found
-    plain = _begun(_ASKED.sub("", dotted)[1:], place)
-    return plain._replace(title=title, group="command", prefix="") if plain and plain.group == "position" else None
+    plain = _begun(_ASKED.sub("", title).lstrip("._ /"), place)
+    return plain._replace(title=title, group="command", asked=True) if plain and plain.group == "position" else None
 
 
 def _begun(title: str, place: int) -> Column | None:

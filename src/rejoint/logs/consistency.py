@@ -431,7 +431,7 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int]) -> Iterator[Rema
     """
     state, command = motion.position, np.asarray(motion.command)
     lowest, highest = correlations(motion.time, state, command)
-    far = (np.ptp(state, axis=0)[:, None] > FAR / 2) & (np.ptp(command, axis=0) > FAR / 2)
+    far = np.minimum.outer(np.ptp(state, axis=0), np.ptp(command, axis=0)) > FAR / 2
     error, gains = state - command, np.std(state, axis=0) / np.maximum(np.std(command, axis=0), 1e-9)
     yield from _check_copies(motion, command)
     for joint, name in enumerate(motion.columns):

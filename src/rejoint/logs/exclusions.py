@@ -279,11 +279,11 @@ def _recovering(time: Array, rows: Mask) -> Mask:
 
 
 SPAN = 0.16
-"""[s] of a speed at least; chosen: the steps of encoders are slower"""
+"""[s] over which a speed is taken at least; chosen: one step of an encoder in it is no motion"""
 
 
 def joint_speed(time: Array, q: Array) -> Array:
-    """(T,) [rad/s] of the fastest joint of ``q`` (T, n) [rad], over nine rows, and `SPAN`."""
+    """(T,) [rad/s] of the fastest joint of ``q`` (T, n) [rad], over nine rows, and at least `SPAN`."""
     return np.abs(velocity(time, q, 4, SPAN)).max(axis=1)
 
 

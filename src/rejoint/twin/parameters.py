@@ -356,8 +356,8 @@ def dry_friction(terms: Array, speed: Array, load: Array | float) -> Array:
 def back_emf(arm: Arm, twin: TwinParameters) -> Array:
     """Return the share (..., n) [N m s/rad] of the damping that acts beside the torque limit; the limit holds the rest.
 
-    A servo limits duty, derivative gain included; back-EMF takes torque after that. Outside the
-    catalogue, where no-load speeds are unknown, it is at least `BESIDE` of the damping.
+    A servo limits duty, derivative gain included; back-EMF takes torque after that, and so does viscous friction.
+    Outside the catalogue, where no-load speeds are unknown, both are at least `BESIDE` of the damping.
     """
     least = 0.0 if is_hobby(arm) else BESIDE * twin.damping
     return np.clip(twin.torque_limit / (NO_LOAD * arm.max_speed), least, twin.damping)
