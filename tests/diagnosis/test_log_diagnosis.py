@@ -102,6 +102,14 @@ def test_a_stranger_whose_sag_is_not_that_of_the_model_has_no_known_stiffness(lo
     assert k.low < HEALTHY.position_gain[1] < k.high
 
 
+@pytest.mark.parametrize(("name", "expected"), [("soft elbow", "weak_gain"), ("sticky lift", "friction")])
+def test_beside_a_healthy_arm_of_its_model_a_stranger_is_as_well_known_as_another(logs, name, expected):
+    stranger = replace(ARM, name="stranger")
+    before, now = ([replace(log, arm=stranger.name) for log in logs[one]] for one in ("healthy", name))
+    good = reference_by(stranger, diagnose_logs(stranger, before, None))
+    assert {kind for _, kind in kinds(diagnose_logs(stranger, now, good))} == {expected}
+
+
 def test_friction_and_hysteresis_are_those_of_the_wear(found):
     lift = found["sticky lift"].measurement.joints[1]
     half = 0.40 / HEALTHY.position_gain[1]
@@ -147,6 +155,7 @@ def own_reference():
         replace(
             row,
             stiffness_nm_per_rad=around(TRUTH.stiffness[j]),
+            modelled_nm_per_rad=None,
             coulomb_nm=around(1.12 * TRUTH.coulomb[j]),
             hysteresis_rad=around(2.24 * TRUTH.coulomb[j] / TRUTH.stiffness[j]),
             lag_s=around(TRUTH.damping[j] / TRUTH.stiffness[j] + 0.01),

@@ -210,7 +210,15 @@ def _range(found: Sequence[Estimate], allowed: float | None = None, least: float
     return Estimate(*(np.exp(range_) if allowed is None else range_))
 
 
-POSITIVE = ("stiffness_nm_per_rad", "coulomb_nm", "damping_ratio", "hysteresis_rad", "lag_s", "coulomb_effort")
+POSITIVE = (
+    "stiffness_nm_per_rad",
+    "modelled_nm_per_rad",
+    "coulomb_nm",
+    "damping_ratio",
+    "hysteresis_rad",
+    "lag_s",
+    "coulomb_effort",
+)
 
 
 def reference_by(arm: Arm, good: Diagnosis) -> HealthyReference:

@@ -106,6 +106,8 @@ class JointMetrics:
     joint: str
     stiffness_nm_per_rad: Estimate | None = None
     """torque per radian of following error"""
+    modelled_nm_per_rad: Estimate | None = None
+    """the same by sag, without the model's doubt: to compare arms of one model"""
     hysteresis_rad: Estimate | None = None
     """full width between both directions, lag removed"""
     coulomb_nm: Estimate | None = None
@@ -202,6 +204,7 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -
     return JointMetrics(
         joint=data.arm.joint_names[joint],
         stiffness_nm_per_rad=k,
+        modelled_nm_per_rad=k and _slope(law, within(1.0, 0.0), KNOWN_WITHIN),
         hysteresis_rad=half and scaled(half, 2.0),
         coulomb_nm=k and half and friction_torque(k, half),
         lag_s=None if law is None else law.estimate(LAG),

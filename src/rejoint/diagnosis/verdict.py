@@ -106,6 +106,15 @@ class _Case:
     def hunts(self) -> bool:
         return self.low("hunting_rad") > QUIET_COUNTS * self.encoder_step
 
+    @property
+    def soft(self) -> bool:
+        return self.below("stiffness_nm_per_rad") or self.below("modelled_nm_per_rad")
+
+    @property
+    def rubs(self) -> bool:
+        kept = self.low("modelled_nm_per_rad") > _end(self.usual("modelled_nm_per_rad").low)
+        return self.beyond("coulomb_nm") or (kept and self.beyond("hysteresis_rad"))
+
     def value(self, quantity: str) -> float:
         return _known(self.row, quantity).value
 
@@ -208,7 +217,7 @@ def stuck(case: _Case) -> Found:
 
 def weak_gain(case: _Case) -> Found:
     """Report a servo with too little torque per following error."""
-    if not case.below("stiffness_nm_per_rad") or not case.moves:
+    if not case.soft or not case.moves:
         return None
     k, weight = case.value("stiffness_nm_per_rad"), (case.levers * case.loads).mean()
     held = case.lever * np.nan_to_num(case.value("coulomb_nm"))
@@ -218,7 +227,7 @@ def weak_gain(case: _Case) -> Found:
 
 def friction(case: _Case) -> Found:
     """Report a joint that is hard to move."""
-    if not case.beyond("coulomb_nm") or not case.moves or case.hunts:
+    if not case.rubs or not case.moves or case.hunts:
         return None
     half = case.value("hysteresis_rad") / 2
     return case.lever * half, f"is stiff to turn: it stops up to {np.degrees(half):.2f} deg short on either side,"
@@ -226,7 +235,7 @@ def friction(case: _Case) -> Found:
 
 def hysteresis(case: _Case) -> Found:
     """Report a joint that stops short for an unclear reason."""
-    explained = case.below("stiffness_nm_per_rad") or case.beyond("coulomb_nm")
+    explained = case.soft or case.rubs
     if not case.beyond("hysteresis_rad") or explained or not case.moves or case.hunts:
         return None
     width, rest = case.value("hysteresis_rad"), (case.levers * case.errors).mean()
@@ -278,7 +287,7 @@ def low_damping(case: _Case) -> Found:
 def lag(case: _Case) -> Found:
     """Report a joint that is late, but not by a weak gain."""
     usual, late = case.usual("lag_s"), case.value("lag_s")
-    if case.below("stiffness_nm_per_rad") or not case.low("lag_s") - case.common_lag > _end(usual.high):
+    if case.soft or not case.low("lag_s") - case.common_lag > _end(usual.high):
         return None
     return case.lever * WORKING_SPEED * (late - case.common_lag - usual.value), (
         f"follows late: {late * 1e3:.0f} ms behind its command{case.against('lag_s', '.0f', 1e3)}; "
