@@ -98,3 +98,25 @@ def test_parts_of_what_json_and_archives_hold_are_joints(tmp_path, kind: str, se
     (log,) = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(names=names)).logs
     np.testing.assert_allclose(log.position, found.position[: len(log)])
     np.testing.assert_array_equal(log.command, command[: len(log)])
+
+
+@pytest.mark.parametrize(
+    ("clock", "state", "sent"),
+    [
+        ("header.stamp.sec,header.stamp.nanosec", "feedback.positions[{}]", "reference.positions[{}]"),
+        ("__time,/joint_states/header/stamp/sec", "/joint_states/{}/position", "/joint_commands/{}/position"),
+        ("%time_ns,field.header.stamp", "field.actual.positions{}", "field.desired.positions{}"),
+    ],
+)
+def test_titles_as_programs_of_ros_write_them_are_read(tmp_path, clock: str, state: str, sent: str):
+    found, source = sample(), tmp_path / "log.csv"
+    second = np.floor(found.time)
+    clocks = {"__time": found.time, "%time_ns": 1e9 * found.time, "header.stamp.nanosec": 1e9 * (found.time - second)}
+    joints = ARM.joint_names if "/" in state else range(5)
+    columns = [clocks.get(one, second) for one in clock.split(",")] + [*found.position.T, *found.command.T]
+    titles = ["name", clock, *map(state.format, joints), *map(sent.format, joints)]
+    rows = [",".join(["arm", *map(repr, row)]) for row in np.transpose(columns).tolist()]
+    source.write_text("\n".join([",".join(titles), *rows, ""]).replace("name,%", "%name,"))
+    (log,) = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(angle_unit="rad")).logs
+    np.testing.assert_allclose(log.time, found.time, atol=1e-12)
+    np.testing.assert_array_equal([log.position, log.command], [found.position, found.command])

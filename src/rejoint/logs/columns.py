@@ -11,7 +11,7 @@ joint's range. Thresholds are chosen.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -268,11 +268,16 @@ _EVERY = re.compile(rf"\bJOINT(_({'|'.join(unit for known in UNITS.values() for 
 _ASKED, _OTHER = (
     re.compile(rf"(?i)(^|[._ /])({words})(?=[._ /\[\d]|$)")
     for words in (
-        "des(ired)?|ref(erence)?|cmd|command(ed)?|goal|target|setpoint",
+        "des(ired)?|ref(erence)?|cmd|command(ed|s)?|goal|target|setpoint",
         "ff|limit|max|min|enabled?|dot|vel(ocity)?|speed|acc(eleration)?|err(or)?",
     )
 )
 """Words in the titles of what is asked for, and of what is neither position, torque nor current"""
+_SECONDS = re.compile(r"(?i)[._/](?P<nano>n(ano)?)?secs?$")
+_STAMPS = ("header.stamp", "stamp")
+"""Times of messages in seconds and nanoseconds; others go first"""
+_PATHS = ("/", "field.")
+"""Beginnings of titles that are paths in a message"""
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 
 
@@ -455,12 +460,12 @@ class _GroupedColumns:
 
     def clock(self) -> Array:
         """Return times (T,) [s]."""
-        times = self.of("time")
+        times = [one for one in self.of("time") if one.prefix not in _STAMPS] or self.of("time")
         if self.motion.time is not None:
             return self.motion.time
         if self.options.rate is not None:
             return np.arange(len(self.motion.number)) / self.options.rate
-        if len(times) != 1:
+        if len(times) != 1 and {(one.prefix in _STAMPS, one.unit) for one in times} != {(True, "s"), (True, "ns")}:
             found = " and ".join(column.title for column in times) or "none"
             raise FileError(
                 self.motion.path,
@@ -469,7 +474,7 @@ class _GroupedColumns:
                 f"name one {' or '.join(f'time_{unit}' for unit in TIME_UNITS)}, map yours (--map time_s=THEIRS), or "
                 "give the rows in a second (--rate)",
             )
-        return self._read(times)[:, 0] / TIME_UNITS[self._unit(times[0])]
+        return (self._read(times) / [TIME_UNITS[self._unit(one)] for one in times]).sum(axis=1)
 
     def _columns(self, group: str) -> list[Column]:
         """Columns of a group: the joints' in the arm's order, or x, y and z."""
@@ -568,17 +573,29 @@ def _classified(title: str, place: int = -1) -> Column | None:
         return found
     if _OTHER.search(title):
         return None
-    if not _ASKED.search(title):
-        return found
-    plain = _begun(_ASKED.sub("", title).lstrip("._ /"), place)
-    return plain._replace(title=title, group="command", asked=True) if plain and plain.group == "position" else None
+    asked, ends = bool(_ASKED.search(title)), (_ASKED.sub("", end).lstrip("._ /") for end in _ends(title))
+    found = next((one for end in ends if (one := _begun(end, place))), None)
+    if found is None or (asked and found.group != "position"):
+        return None
+    return found._replace(title=title, group="command" if asked else found.group, asked=asked)
+
+
+def _ends(title: str) -> Iterator[str]:
+    """Yield a title and, of a path such as ``/joint_states/elbow/position``, what it may end with."""
+    yield title
+    if title.startswith(_PATHS):
+        parts = re.split("[/.]", title)
+        yield f"{parts[-1]}.{parts[-2]}"
+        for first in range(1, len(parts)):
+            yield ".".join(parts[first:])
 
 
 def _begun(title: str, place: int) -> Column | None:
+    short = _SECONDS.sub(lambda found: "_ns" if found["nano"] else "_s", title)
     for prefix, group in _PREFIXES:
-        if not title.casefold().startswith(prefix):
+        if not short.casefold().startswith(prefix):
             continue
-        rest, unit = split_unit(f"x{title[len(prefix) :]}", UNITS[group])
+        rest, unit = split_unit(f"x{short[len(prefix) :]}", UNITS[group])
         found = _JOINT.fullmatch(rest[1:])
         name = found and (found["number"] or found["name"] or "")
         names = {"time": ("",), **dict.fromkeys(POINTS, AXES)}.get(group)

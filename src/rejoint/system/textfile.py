@@ -240,12 +240,13 @@ def _parsed(text: str, encoding: str, path: Path, *, whole: bool = True) -> Shee
     counts = [sum(map(bool, _split(lines[i], separator))) for i in chosen[:_LINES]]
     prints = next((k for k, count in enumerate(counts) if count > 1), 0) if max(counts, default=0) > 2 else 0
     titles = _split(lines[chosen[prints]], separator) if chosen else []
-    named = not all(_NUMBER.fullmatch(title) or _DATE.match(title) for title in filter(None, titles))
-    rows = chosen[prints + named :]
-    if not named:
-        comment = _split(above[-1].lstrip("#%/ \t"), separator) if above else []
-        named = len(comment) == len(titles)
-        titles = comment if named else [str(i + 1) for i in range(len(titles))]
+    plain = [_NUMBER.fullmatch(title) or _DATE.match(title) for title in filter(None, titles)]
+    comment = _split(above[-1].lstrip("#%/ \t"), separator) if above else []
+    aside = len(comment) == len(titles) and any(plain)  # titles in a comment, above a row that may hold words
+    named = aside or not all(plain)
+    rows = chosen[prints + (named and not aside) :]
+    if not named or aside:
+        titles = comment if aside else [str(i + 1) for i in range(len(titles))]
     if not (whole or ends):
         rows = rows[:-1] or rows
     # a text without columns has no separator; "one column" keeps an error about it true
