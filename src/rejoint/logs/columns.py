@@ -274,8 +274,8 @@ _ASKED, _OTHER = (
 )
 """Words in the titles of what is asked for, and of what is neither position, torque nor current"""
 _SECONDS = re.compile(r"(?i)[._/](?P<nano>n(ano)?)?secs?$")
-_STAMPS = ("header.stamp", "stamp")
-"""Times of messages in seconds and nanoseconds; others go first"""
+_STAMPS = ("header.stamp", "stamp", "")
+"""Times of messages, and mapped ones, may be seconds and nanoseconds; others go first"""
 _PATHS = ("/", "field.")
 """Beginnings of titles that are paths in a message"""
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")

@@ -239,14 +239,14 @@ def _parsed(text: str, encoding: str, path: Path, *, whole: bool = True) -> Shee
     # headings and what a sketch prints fill one cell, rows of a table several
     counts = [sum(map(bool, _split(lines[i], separator))) for i in chosen[:_LINES]]
     prints = next((k for k, count in enumerate(counts) if count > 1), 0) if max(counts, default=0) > 2 else 0
-    titles = _split(lines[chosen[prints]], separator) if chosen else []
-    plain = [_NUMBER.fullmatch(title) or _DATE.match(title) for title in filter(None, titles)]
-    comment = _split(above[-1].lstrip("#%/ \t"), separator) if above else []
-    aside = len(comment) == len(titles) and any(plain)  # titles in a comment, above a row that may hold words
-    named = aside or not all(plain)
-    rows = chosen[prints + (named and not aside) :]
-    if not named or aside:
-        titles = comment if aside else [str(i + 1) for i in range(len(titles))]
+    titles, second = [*(_split(lines[i], separator) for i in chosen[prints : prints + 2]), [], []][:2]
+    alike = all(_plain(one) == _plain(other) for one, other in zip(titles, second, strict=False) if one and other)
+    named = not (alike and any(map(_plain, titles)))  # a row without titles may hold words
+    rows = chosen[prints + named :]
+    if not named:
+        comment = _split(above[-1].lstrip("#%/ \t"), separator) if above else []
+        named = len(comment) == len(titles)
+        titles = comment if named else [str(i + 1) for i in range(len(titles))]
     if not (whole or ends):
         rows = rows[:-1] or rows
     # a text without columns has no separator; "one column" keeps an error about it true
@@ -267,6 +267,10 @@ def _parsed(text: str, encoding: str, path: Path, *, whole: bool = True) -> Shee
         sound=whole,
         dated=any(map(_DATE.match, _split(lines[rows[0]], separator) if rows else [])),
     )
+
+
+def _plain(cell: str) -> bool:
+    return bool(_NUMBER.fullmatch(cell) or _DATE.match(cell))
 
 
 def _split(line: str, separator: str) -> list[str]:
