@@ -76,7 +76,7 @@ def find_lag(time: Array, position: Array, command: Array) -> Lag | None:
     moved = interpolated(even, time, position)
     speeds = _of_velocities(moved, held, step, period)
     doubted = speeds is not None and speeds.plausible  # an answer to the step before may have been taken for this one's
-    return _of_steps(moved, held, step, 1 + doubted) or speeds
+    return _of_steps(moved, held, step, doubted) or speeds
 
 
 def _of_velocities(moved: Array, held: Array, step: float, period: float) -> Lag | None:
@@ -110,19 +110,19 @@ def _of_velocities(moved: Array, held: Array, step: float, period: float) -> Lag
     return Lag(float(lags[best]), sure=bool(surely and unexplained[best] < _UNLIKE))
 
 
-def _of_steps(moved: Array, held: Array, step: float, quiet: int) -> Lag | None:
-    """Lag by lone steps of commands, ``quiet`` times `SEARCHED` after the one before; None where there are few."""
+def _of_steps(moved: Array, held: Array, step: float, doubted: bool) -> Lag | None:
+    """Lag by lone steps of commands, at least `_FEWEST_STEPS` long after the one before where it is ``doubted``."""
     reach, shares = round(SEARCHED / step), []
     for way, asked in zip(moved.T, held.T, strict=True):
         change = np.diff(asked)
         changes = np.flatnonzero(change) + 1
         gaps = np.diff(changes, prepend=0, append=len(held) - 1)
-        alone = (gaps[:-1] >= quiet * reach) & (gaps[1:] >= reach)
+        alone = (gaps[:-1] >= (1 + doubted) * reach) & (gaps[1:] >= reach)
         for at in changes[alone & (np.abs(change[changes - 1]) > _JUMP)]:
             near = way[at - reach : at + reach + 1] - way[at - reach]
             if abs(near[-1]) > _JUMP:
                 shares.append(near / near[-1])
-    if len(shares) < _FEWEST_STEPS:
+    if len(shares) < (_FEWEST_STEPS if doubted else 1):
         return None
     best = step * (int(np.argmax(np.median(shares, axis=0) > _BEGUN)) - reach)
     return Lag(best=best, sure=not PLAUSIBLE[0] - step < best < PLAUSIBLE[1] + step)
@@ -280,8 +280,8 @@ MISREAD = 16
 """rows in which a bus may fail"""
 SHARPEST = 400.0
 """[rad/s^2] ten times an SO-101's limit"""
-TOO_FAST, SPEED_ROWS = 4.0, 5
-"""times the servo's speed, over rows"""
+TOO_FAST, SPEED_ROWS = 30.0, 5
+"""times the servo's speed, which may be assumed, over rows: another unit"""
 BRIEF = 1.0
 """[s] of a log that may be a turned table"""
 WRAP = 1.0
@@ -422,6 +422,8 @@ FOLLOWED = 0.7
 """Travel over the command's"""
 APART = 0.5
 """[rad] median following error beyond any sag"""
+SCATTERED = 5.0
+"""Scatter about a zero in this error"""
 
 
 def check_agreement(motion: RecordedMotion, off: Sequence[int]) -> Iterator[Remark]:
@@ -430,10 +432,22 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int]) -> Iterator[Rema
     Exchanged joints, duplicates, implausible lags and scales.
     """
     state, command = motion.position, np.asarray(motion.command)
+    yield from _check_copies(motion, command)
+    lag = find_lag(motion.time, state, command)
+    if lag and not lag.plausible:
+        yield (
+            f"the states follow their commands best after {lag.best:.2g} s, expected {PLAUSIBLE[0]:g} to "
+            f"{PLAUSIBLE[1]:g}: perhaps clocks differ, both are exchanged, the controller feeds speed forward, or "
+            "commands are goals that something else moves to",
+            "record both with the stamps of one clock" if lag.sure else "",
+        )
+        if lag.sure:
+            return  # what follows compares the two
     lowest, highest = correlations(motion.time, state, command)
     far = np.minimum.outer(np.ptp(state, axis=0), np.ptp(command, axis=0)) > FAR / 2
-    error, gains = state - command, np.std(state, axis=0) / np.maximum(np.std(command, axis=0), 1e-9)
-    yield from _check_copies(motion, command)
+    late = np.searchsorted(motion.time, motion.time - (lag.best if lag and lag.plausible else 0.0), side="right") - 1
+    error = state - command[np.maximum(late, 0)]
+    gains = np.std(state, axis=0) / np.maximum(np.std(command, axis=0), 1e-9)
     for joint, name in enumerate(motion.columns):
         if joint in off:
             continue
@@ -463,12 +477,12 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int]) -> Iterator[Rema
         if own > RELATED[1] and not 1 / GAIN < gain < GAIN:
             said = f"{name} moves {gain:.3g} times as far as its command: not one unit"
             yield said, "give states and commands in one unit"
-        low, apart, high = np.percentile(error[:, joint], (10, 50, 90))
+        apart, scattered = np.median(error[:, joint]), np.std(state[:, joint]) * np.sqrt(max(1.0 - own**2, 0.0))
         if abs(apart) > APART / 2:
             said = f"{name} is {np.rad2deg(apart):.0f} deg from its command (median): a weak servo, or another zero"
-            everywhere = abs(apart) > APART and high - low < abs(apart) / 2 and gain > FOLLOWED
-            yield said, "check unit, joint order and zero of states and commands" if everywhere else ""
-    yield from _check_lag(motion, command)
+            everywhere = abs(apart) > APART and SCATTERED * scattered < abs(apart) and gain > FOLLOWED
+            remedy = "check unit, joint order and zero of states and commands" if everywhere else ""
+            yield f"{said} (--map JOINT=THEIRS{-apart:+.3g} in rad)", remedy
 
 
 def _check_copies(motion: RecordedMotion, command: Array) -> Iterator[Remark]:
@@ -486,15 +500,3 @@ def _check_copies(motion: RecordedMotion, command: Array) -> Iterator[Remark]:
             said = f"the states of {names} are copies of the commands, {lag} row(s) later: such a log shows no arm"
             yield said, "record what the encoders say and what was sent"
             return
-
-
-def _check_lag(motion: RecordedMotion, command: Array) -> Iterator[Remark]:
-    lag = find_lag(motion.time, motion.position, command)
-    if lag is None or lag.plausible:
-        return
-    said = (
-        f"the states follow their commands best after {lag.best:.2g} s, expected {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g}: "
-        "perhaps clocks differ, both are exchanged, the controller feeds speed forward, or commands are goals that "
-        "something else moves to"
-    )
-    yield said, "record both with the stamps of one clock" if lag.sure else ""
