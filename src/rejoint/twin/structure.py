@@ -127,9 +127,9 @@ def explored(problem: Problem, x: Array, joints: Mask | None = None) -> Array:
     count = int(EFFORT / (rows * problem.joints**2)) if joints is None else DESCENTS * int(joints.any())
     if count == 0:
         return x
-    rng, moved = np.random.default_rng(0), np.ones(problem.joints, dtype=bool) if joints is None else joints
+    rng = np.random.default_rng(0)
     drawn = _drawn(problem, x, TRIALS * count, rng, WIDER)
-    starts = np.where(np.append(moved, joints is None)[problem.owner], drawn, x)
+    starts = drawn if joints is None else np.where(np.append(joints, False)[problem.owner], drawn, x)
     losses = [loss(problem.residuals(part)).sum(axis=(1, 2)) for part in np.array_split(starts, count)]  # memory
     order = np.argsort(np.concatenate(losses))[:count]
     found = [fit(problem, start, 2 * ROUGH, SCALES).vector for start in starts[order]]
