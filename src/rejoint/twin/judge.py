@@ -200,7 +200,7 @@ def read_published(path: Path, arm: Arm) -> Candidate:
     found = read_toml(path, PublishedSet, "docs/published holds examples")
     reached, values = unpack(unknown_prior(arm).upper, arm.joints), {}
     for p in PARAMETERS:
-        given, shape = getattr(found, p.name, None), (arm.joints,) if p.per_joint else ()
+        given, shape = getattr(found, p.name), (arm.joints,) if p.per_joint else ()
         try:
             values[p.name] = np.broadcast_to(getattr(reached, p.name) if given is None else given, shape)
         except ValueError as error:

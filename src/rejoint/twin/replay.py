@@ -341,7 +341,7 @@ def part(
         kept = set(hold_out)
     else:
         programs = _programs(ordered)
-        fold = folds(arm, [logs[0] for logs in programs], FOLDS, seed)
+        fold = folds(arm, [logs[0] for logs in programs], seed)
         kept = {log.label for logs, number in zip(programs, fold, strict=True) if number == 0 for log in logs}
         if len(programs) < FOLDS or len(kept) < FEWEST_OUT:
             return _ends(ordered)
@@ -398,13 +398,13 @@ def _stretches(log: RunLog) -> tuple[Array, Array]:
     return time, sliding_window_view(path, STEPS, axis=0).reshape(len(time), -1)
 
 
-def folds(arm: Arm, logs: Sequence[RunLog], count: int, seed: int = 0) -> Index:
-    """(K,) fold of each log, with motions of every kind."""
+def folds(arm: Arm, logs: Sequence[RunLog], seed: int) -> Index:
+    """(K,) fold of each log, of `FOLDS` with motions of every kind."""
     touching = [rows.contact.any() for rows in find_exclusions(arm, logs, table_height(arm, logs))]
     speed = [np.sqrt(np.mean((np.diff(log.command, axis=0) / np.diff(log.time)[:, None]) ** 2)) for log in logs]
     order = sorted(range(len(logs)), key=lambda i: (touching[i], round(speed[i], 6), logs[i].label))
     rng, found = np.random.default_rng(seed), np.zeros(len(logs), dtype=int)
-    for start in range(0, len(order), count):
-        alike = order[start : start + count]
-        found[alike] = rng.permutation(count)[: len(alike)]
+    for start in range(0, len(order), FOLDS):
+        alike = order[start : start + FOLDS]
+        found[alike] = rng.permutation(FOLDS)[: len(alike)]
     return found

@@ -74,7 +74,7 @@ class ChainBatch:
     """``nsim`` simulations of one arm; ``qpos`` and ``qvel`` (nsim, n) are live."""
 
     def __init__(self, arm: Arm, nsim: int, timestep: float = TIMESTEP, threads: int = 1) -> None:
-        self.arm, self.nsim = arm, nsim
+        self.arm = arm
         shape = (nsim, arm.joints)
         self.qpos, self.qvel = np.zeros((2, *shape))
         self.timestep = np.full(nsim, timestep)

@@ -338,7 +338,7 @@ SOFT = 0.01
 """[rad/s] closing speed without rebound; chosen"""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**OPTIONS)
 def cross(gear, link, motor, lead, speed, step):
     """Move one motor for ``step`` [s]; return whether it was free, and the joint's speed.
 
