@@ -395,6 +395,4 @@ def _damping_ratio(law: Law) -> Estimate | None:
 
 def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:
     """F = k (F/k), or a bound for a half width of zero."""
-    if half_width.value > 0:
-        return product(stiffness, half_width)
-    return Estimate(0.0, 0.0, None if half_width.high is None else max(stiffness.value * half_width.high, 0.0))
+    return product(stiffness, half_width) if half_width.value > 0 else scaled(half_width, stiffness.value)

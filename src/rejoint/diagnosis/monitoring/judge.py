@@ -61,13 +61,13 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     Prior: ``scatter``, sigma of one check; ``per_degree``, effect of a degree.
     """
     count, warm = len(value), np.nan_to_num(temperature - temperature[0])
-    cusum, changes = np.zeros((2, count))
+    cusum, change = np.zeros(count), 0.0
     sides, sums, began, smooth = np.array([1.0, -1.0]), np.zeros(2), np.full(2, FEWEST - 1), 0.0
     usual, base = float(np.mean(value)), FEWEST
     for t in range(FEWEST, count):
         usual, slope, deviation = _norm(value[: t + 1], warm[: t + 1], base, scatter, per_degree)
-        changes[t] = value[t] - usual - slope
-        step = np.clip(changes[t] / deviation, -CUT, CUT)
+        change = float(value[t] - usual - slope)
+        step = np.clip(change / deviation, -CUT, CUT)
         base += base == t < MOST and abs(step) < CUT  # what is odd, and what follows, is no part of it
         smooth = WEIGHT * step + (1.0 - WEIGHT) * smooth
         sums = np.maximum(sums + sides * step - SLACK, 0.0)
@@ -84,7 +84,7 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
     return Chart(
         cusum=cusum,
         usual=usual,
-        change=float(changes[-1]),
+        change=change,
         state=state,
         since=since if state in ("drifting", "alarm") else None,
     )
@@ -103,12 +103,10 @@ def _norm(value: Array, warm: Array, count: int, scatter: float, per_degree: flo
 
 
 def _slope(value: Array, warm: Array, variance: float, per_degree: float) -> tuple[float, float]:
-    if per_degree <= 0.0 or np.ptp(warm) == 0.0:
-        return 0.0, 0.0
     order = np.arange(len(value), dtype=float)
     design = np.stack([np.ones(len(value)), order - order.mean(), warm - warm.mean()], axis=1)
     sigma = variance**0.5
-    best, spread = fit_believed(design / sigma, value / sigma, np.diag([0.0, 0.0, per_degree**-2]))
+    best, spread = fit_believed(design / sigma, value / sigma, np.diag([0.0, 0.0, max(per_degree, 1e-9) ** -2]))
     return best[2], spread[2, 2]
 
 
