@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from rejoint.arms import Arm, levers, tcp_position
+from rejoint.control.correction import tool_error
 from rejoint.diagnosis.excitation import DiagnosisLogs
 from rejoint.diagnosis.healthy import HealthyReference
 from rejoint.diagnosis.measurement import Measurement, measure, measure_logs, sag_doubt
@@ -297,7 +298,7 @@ def _rest_error(arm: Arm, excluded: Sequence[Exclusions]) -> Estimate | None:
         moot = ZEROS in rows.log.extra or len(unpowered_joints(rows.log)) == arm.joints
         if moot or not len(position):
             continue
-        error = np.linalg.norm(tcp_position(arm, command) - tcp_position(arm, position), axis=-1) * 1e3
+        error = 1e3 * tool_error(arm, position, tcp_position(arm, command))
         _, place, count = np.unique(np.round(command, 3), axis=0, return_inverse=True, return_counts=True)
         means += [error.mean()] if len(excluded) >= MANY else (np.bincount(place.ravel(), error) / count).tolist()
     return mean_of(np.array(means)) if means else None

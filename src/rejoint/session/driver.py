@@ -23,7 +23,7 @@ from rejoint.control.controllers.catalogue import CONTROLLERS
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.controllers.posture import PostureController, PostureGains
-from rejoint.control.correction import Modelled
+from rejoint.control.correction import Modelled, tool_error
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import PIECE, Cycle, Observer, OnCycle, Recording, recorded, recording_of
@@ -611,7 +611,7 @@ class ArmDriver:
             lags = f"{arm.joint_names[worst]} is {np.degrees(away[worst]):.1f} deg from where it was sent"
             if joints is None:
                 aim = inputs.target if inputs.aim is None else inputs.aim  # the target moves along the way
-                error = np.linalg.norm(aim[0] - tcp_position(arm, here))
+                error = tool_error(arm, here, aim[0])
                 turned = turned_off(arm, inputs)[0]
                 near = inputs.arrived[0] and error < within[0] and not turned > within[1]
                 left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from rejoint.arms import Array, JointTrajectory, Motors, choose_postures, plan, tcp_position
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.posture import OFF, PlannedWay, PostureController, PostureGains, Unloading
+from rejoint.control.correction import tool_error
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, brake
 from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
@@ -332,7 +333,7 @@ class ArmSession(ArmDriver):
             sent = self._last or self._seen  # of a reading at rest, target and errors are unknown
             newest = sent if moving else self._seen
             joints, turned = newest.position[0], float(sent.turned[0])
-            error = float(np.linalg.norm(sent.aim[0] - tcp_position(self.arm, joints)))
+            error = float(tool_error(self.arm, joints, sent.aim[0]))
             return ArmState(
                 time_s=float(newest.time[0]),
                 joints_rad=joints.copy(),

@@ -13,6 +13,7 @@ from itertools import compress
 import numpy as np
 
 from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, tcp_position
+from rejoint.control.correction import tool_error
 from rejoint.diagnosis.measurement import sag_doubt
 from rejoint.diagnosis.segments import ExcitationLog, join_logs
 from rejoint.logs.columns import ZEROS
@@ -412,8 +413,8 @@ class Motions:
         if not fresh:
             return structure, problem, found
         replay = replace(problem.replay, windows=fresh)
-        tips = tcp_position(self.arm, replay.predict(unpack(np.stack([found.vector, other.vector]), self.arm.joints)))
-        simple, full = np.linalg.norm(tips - tcp_position(self.arm, replay.measured), axis=-1).mean(axis=1)
+        paths = replay.predict(unpack(np.stack([found.vector, other.vector]), self.arm.joints))
+        simple, full = tool_error(self.arm, paths, tcp_position(self.arm, replay.measured)).mean(axis=1)
         return (fuller, rival, other) if full < simple else (structure, problem, found)
 
     def fit_table(self, problem: Problem, found: Fit) -> TablePlane | None:

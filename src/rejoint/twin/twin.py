@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array, Mask, tcp_position
+from rejoint.control.correction import rms, tool_error
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.files import Number, Positive, array_of, digest, read_sealed, toml_of, write_sealed
 from rejoint.system.records import Readable, entity, value_type
@@ -83,10 +84,8 @@ class Judgement(Readable):
 
 def prediction_error(arm: Arm, predicted: Array, measured: Array) -> PredictionError:
     """Compare positions (T, n) [rad]."""
-    difference = predicted - measured
-    gap = tcp_position(arm, predicted) - tcp_position(arm, measured)
-    tcp = np.sqrt(np.mean(np.sum(gap**2, axis=-1)))
-    return PredictionError(joint=float(np.sqrt(np.mean(difference**2))), tcp=float(tcp))
+    tcp = rms(tool_error(arm, predicted, tcp_position(arm, measured)))
+    return PredictionError(joint=rms(predicted - measured), tcp=tcp)
 
 
 def smaller(ours: Array, theirs: Array) -> bool:
