@@ -63,7 +63,7 @@ def fit_clustered(design: Array, response: Array, cluster: Index) -> LinearFit:
 def fit_believed(design: Array, response: Array, believed: Array) -> tuple[Array, Array]:
     """Coefficients (p,) and their covariance (p, p), for unit noise and prior precision ``believed`` (p, p) about 0."""
     spread = np.linalg.inv(design.T @ design + believed)
-    return np.asarray(spread @ (design.T @ response)), np.asarray(spread)
+    return spread @ (design.T @ response), np.asarray(spread)
 
 
 def fit_trimmed(design: Array, response: Array, cluster: Index, first: Mask | None = None) -> LinearFit:

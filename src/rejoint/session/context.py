@@ -92,7 +92,7 @@ def noticed_load(arm: Arm, twin: Twin, log: RunLog) -> tuple[float, float] | Non
     free = np.abs(torque) < 0.9 * own.torque_limit  # at its limit a motor gives less than its stiffness says
     # Friction holds anything between plus and minus its size, all equally likely.
     least = 0.02 * np.abs(gravity_torque(arm, position)).max(initial=0.0)
-    doubt = np.broadcast_to(np.maximum(own.coulomb, least) / np.sqrt(3.0), missing.shape)
+    doubt = np.maximum(own.coulomb, least) / np.sqrt(3.0)
     weight = np.where(free, 1.0 / doubt, 0.0)
     total = ((lever * weight) ** 2).sum()
     if total <= 0.0:

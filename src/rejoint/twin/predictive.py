@@ -50,7 +50,7 @@ class PredictiveController:
             TwinParameters.stacked([twin.parameters for twin in twins]),
             np.array([twin.acceleration for twin in twins]),
         )
-        trial, rest = Simulation(arm, count), np.tile(arm.rest, (count, 1))
+        trial, rest = Simulation(arm, count), arm.rest[None]
         trial.place(draw, rest, rest)
         trial.advance(np.full(count, TIMESTEP))
         return cls(arm, draw, holder)

@@ -230,12 +230,12 @@ def declare(logs: Sequence[RunLog], key: str, values: Mapping[str, str]) -> list
 
 
 def gains(log: RunLog) -> Array:
-    """Position gain (n,) of the servos over the twin's."""
+    """Position gain of the servos over the twin's, (n,), or (1,) of all."""
     n = len(log.joint_names)
     found = numbers(log, GAIN, log.extra.get(GAIN, "1").replace(",", " ").split())
     if len(found) not in (1, n) or (found <= 0).any():
         raise InputError(f"{log.label}: {GAIN} {log.extra[GAIN]!r}, expected one number above zero, or {n}")
-    return np.broadcast_to(found, (n,))
+    return found
 
 
 def recorded_gain(logs: Sequence[RunLog]) -> Array | None:

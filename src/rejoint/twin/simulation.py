@@ -207,7 +207,7 @@ class TwinRobot:
         self.arm, self.address, self.count = arm, address, len(draw.period)
         self._period, self._jitter, self._copies, self._rng = draw.period, jitter, copies, np.random.default_rng(seed)
         self.simulation = Simulation(arm, self.count)
-        position = np.tile(arm.rest if posture is None else posture, (self.count, 1))
+        position = (arm.rest if posture is None else posture)[None]
         held = gravity_torque(arm, position) / draw.twin.stiffness
         held = (draw.gravity_scale[:, None] - draw.twin.compensation) * held - draw.twin.offset
         self.simulation.place(draw, position, position + held)

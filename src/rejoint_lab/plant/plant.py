@@ -173,7 +173,7 @@ class Plant:
 
     def encoder(self, age: Array | float = 0.0) -> Array:
         """(B, n) [rad] encoder reading ``age`` (B,) [s] ago."""
-        tick = self._tick - np.rint(np.asarray(age) / servo.STEP).astype(np.int64)
+        tick = self._tick - np.rint(age / servo.STEP).astype(np.int64)
         return self._history[np.arange(self.count), tick % servo.HISTORY]
 
     def reset(self, position: Array) -> None:
@@ -201,7 +201,7 @@ class Plant:
     def command(self, position: Array, delay: Array | float = 0.0, where: Mask | None = None) -> None:
         """Send ``position`` (B, n) [rad]; it arrives after ``delay`` (B,) [s]."""
         position = self._checked(position)
-        due = self._tick + np.ceil(np.asarray(delay) / servo.STEP - 1e-9).astype(np.int64)
+        due = self._tick + np.ceil(delay / servo.STEP - 1e-9).astype(np.int64)
         for i in range(self.count) if where is None else np.flatnonzero(where):
             slot = self._due[i].argmax()
             if self._due[i, slot] != servo.NEVER:

@@ -72,18 +72,17 @@ class PaperRanges:
 
     def twins(self, p: Array, d: Array) -> TwinParameters:
         """Twins with the paper's P and D (count, 1), ample torque, no friction or delay."""
-        count, joints = len(p), (len(p), self.arm.joints)
         base, load, length = nominal_parameters(self.arm), torque_size(self.arm), length_size(self.arm)
-        none, lots = np.zeros(joints), np.full(joints, 100.0)
+        none = np.zeros((len(p), self.arm.joints))
         return TwinParameters(
             stiffness=none + load * self.stiffness_unit * p,
-            damping=none + load * length**0.5 * self.damping_unit * d,
+            damping=load * length**0.5 * self.damping_unit * d,
             coulomb=none,
-            armature=none + load * length * self.armature,
-            torque_limit=lots * base.torque_limit,
+            armature=np.array(load * length * self.armature),
+            torque_limit=100.0 * base.torque_limit,
             offset=none,
-            delay=np.zeros(count),
-            ramp_speed=np.full(count, 100.0) * base.ramp_speed,
+            delay=np.zeros(()),
+            ramp_speed=100.0 * base.ramp_speed,
         )
 
 

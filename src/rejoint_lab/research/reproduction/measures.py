@@ -145,8 +145,8 @@ def trace(bench: Bench, ranges: PaperRanges, targets: Array) -> Array:
     """Move twins to ``targets`` (K, 3) [m]; returns paths (3, T, 3) [m]."""
     arm = bench.arm
     twins, free = ChainBatch(arm, len(PAIRS), timestep=STEP), ranges.twins(*np.array(PAIRS).T[..., None])
-    twins.write(Draw.of(replace(free, torque_limit=np.full_like(free.stiffness, BOUNDLESS))))
-    twins.restart(np.tile(arm.rest, (len(PAIRS), 1)))
+    twins.write(Draw.of(replace(free, torque_limit=np.array(BOUNDLESS))))
+    twins.restart(arm.rest)
     steps, goal, paths = round(FIG_10_DWELL / STEP), arm.rest, []
     for target in targets:
         goal = solve_position(arm, target, goal).q
