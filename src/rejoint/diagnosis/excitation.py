@@ -128,7 +128,6 @@ class Plan:
     """[rad] largest excursion, less where it is not safe"""
     multisine_speed: float = 2.0
     """[rad/s] largest speed"""
-    postures: int = 4
     hold_offset: float = HOLD_OFFSET
     """[rad] of the approach"""
     hold_speed: float = 0.3
@@ -145,6 +144,9 @@ class Plan:
 
 SETTLE = 0.3
 """[s] pause between segments; chosen"""
+
+HOLDS = 4
+"""Postures that are held; chosen"""
 
 _ATTEMPTS, _SMALLER = 12, 0.8
 """Attempts, and factor on too large amplitudes; chosen"""
@@ -258,18 +260,18 @@ def _add_holds(path: Excitation, plan: Plan, rng: np.random.Generator) -> None:
 def _hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
     """Postures (P, n) [rad] of most different scaled gravity torques (farthest-point sampling)."""
     spread = plan.posture_spread
-    while len(q := postures_to_hold(arm, rng, spread=spread, offset=plan.hold_offset)) < plan.postures:
+    while len(q := postures_to_hold(arm, rng, spread=spread, offset=plan.hold_offset)) < HOLDS:
         if spread <= _LEAST_SPREAD:
             raise InputError(
                 f"arm {arm.name}: only {len(q)} of {POSTURES} postures around its rest posture are safe, expected "
-                f"{plan.postures} to hold; {_REMEDY}"
+                f"{HOLDS} to hold; {_REMEDY}"
             )
         spread *= _SMALLER
     torque = gravity_torque(arm, q)
     torque = torque / np.maximum(np.abs(torque).max(axis=0), LOAD_MARGIN * torque_size(arm))
     chosen = [np.argmax(np.linalg.norm(torque - torque.mean(axis=0), axis=1))]
     distance = np.full(len(q), np.inf)
-    while len(chosen) < plan.postures:
+    while len(chosen) < HOLDS:
         distance = np.minimum(distance, np.linalg.norm(torque - torque[chosen[-1]], axis=1))
         chosen.append(np.argmax(distance))
     return q[chosen]

@@ -199,7 +199,6 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
     First joints take the best of the ``scales`` as long as that gains.
     """
     x = problem.prior.clip(start)
-    fixed = problem.frozen
     rescaling = np.inf if scales else 0.0
     residual = problem.residuals(x[None])[0]
     for iteration in range(1, iterations + 1):

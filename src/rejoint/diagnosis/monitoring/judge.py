@@ -93,7 +93,7 @@ def chart(value: Array, temperature: Array, *, scatter: float, per_degree: float
 def _norm(value: Array, warm: Array, count: int, scatter: float, per_degree: float) -> tuple[float, float, float]:
     """Mean of the first ``count`` checks, temperature effect on the last, and sigma."""
     known, middle = warm[:count].mean(), float(value[:count].mean())
-    variance, slope, doubt = scatter**2, 0.0, 0.0
+    variance = scatter**2
     for _ in range(3):  # slope and scatter depend on each other a little
         slope, doubt = _slope(value, warm, variance, per_degree)
         steps = np.diff(value[:count] - slope * warm[:count])

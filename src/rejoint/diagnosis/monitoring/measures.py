@@ -153,15 +153,15 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
         for j, name in enumerate(arm.joint_names)
     )
     goal = tcp_position(arm, command)
-    seen = _tool(goal, tcp_position(arm, position))
-    true = _tool(goal, tool) if np.isfinite(tool).all() else (None, None, None)
+    error, scatter, apart = _tool(goal, tcp_position(arm, position))
+    true_error, _, true_apart = _tool(goal, tool) if np.isfinite(tool).all() else (None, None, None)
     return CheckMeasures(
         joints=rows,
-        error_mm=seen[0],
-        repeatability_mm=seen[1],
-        approach_mm=seen[2],
-        true_error_mm=true[0],
-        true_approach_mm=true[2],
+        error_mm=error,
+        repeatability_mm=scatter,
+        approach_mm=apart,
+        true_error_mm=true_error,
+        true_approach_mm=true_apart,
         temperature_c=None if temperature is None else float(np.mean(temperature)),
     )
 
