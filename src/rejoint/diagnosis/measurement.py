@@ -223,7 +223,7 @@ def _row(data: ExcitationLog, joint: int, law: Law | None, k: Estimate | None) -
 
 def _friction(found: Estimate) -> Estimate | None:
     """Return a friction without what is below zero; None if nothing is left."""
-    if found.high is not None and found.high <= 0.0:
+    if (found.high or 0.0) <= 0.0:
         return None
     return Estimate(max(found.value, 0.0), max(found.low or 0.0, 0.0), found.high)
 
@@ -235,7 +235,7 @@ def _stiffness(
     by_sag = _by_sag(arm, laws, SURE_WITHIN)
     found = [_loaded(k, ratio, link) for k, ratio, link in zip(by_sag, ratios, links, strict=True)]
     known = {joint: within(motor, SAME_KIND) for joint, motor in enumerate(motors or ()) if motor is not None} or {
-        joint: motor for joint, (_, motor) in enumerate(found) if motor is not None
+        joint: motor for joint, (_, motor) in enumerate(found) if motor
     }
     for joint, ((k, _), ratio) in enumerate(zip(found, ratios, strict=True)):
         if not known or k is not None or ratio is None:
@@ -374,7 +374,7 @@ def _loaded(k: Estimate | None, ratio: Estimate | None, link: float) -> tuple[Es
     if k is None or ratio is None:
         return k, None
     motor = shifted(product(k, ratio), -link)
-    sure = motor is not None and motor.high is not None and motor.high - motor.value <= MOTOR_SHARE * motor.value
+    sure = motor and motor.high and motor.high - motor.value <= MOTOR_SHARE * motor.value
     return k, motor if sure else None
 
 

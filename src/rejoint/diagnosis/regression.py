@@ -112,7 +112,7 @@ def shifted(estimate: Estimate, offset: float) -> Estimate | None:
 
 def reciprocal(estimate: Estimate) -> Estimate:
     """1/x of a positive quantity; bounds that would cross zero are open."""
-    low, high = (1 / end if end is not None and end > 0 else None for end in (estimate.high, estimate.low))
+    low, high = (1 / end if end and end > 0 else None for end in (estimate.high, estimate.low))
     return Estimate(1 / estimate.value, low, high)
 
 
