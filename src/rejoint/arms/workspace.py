@@ -260,8 +260,9 @@ def least_load(arm: Arm) -> float:
 
 @lru_cache
 def torque_size(arm: Arm) -> float:
-    """Largest load over that of a myCobot 280."""
-    return float(max(heaviest_load(arm).max(), least_load(arm)) / heaviest_load(mycobot280()).max())
+    """Largest load over that of a myCobot 280; of an arm that hangs at rest, half its largest anywhere."""
+    most = max(heaviest_load(arm).max(), 0.5 * largest_loads(arm).max(), least_load(arm))
+    return float(most / heaviest_load(mycobot280()).max())
 
 
 @lru_cache

@@ -61,7 +61,7 @@ class Averages(NamedTuple):
     """Averages of a joint's signals, N windows, D delays."""
 
     error: Array
-    """(D, N) [rad] delayed command minus measured position"""
+    """(D, N) [rad] delayed command minus measured position, times ``gain``"""
     command_speed: Array
     """(N,) [rad/s], without delay"""
     speed: Array
@@ -70,6 +70,8 @@ class Averages(NamedTuple):
     """(N,) [rad/s^2]"""
     direction: Array
     """(N,) -1 to 1"""
+    gain: Array
+    """(N,) P gain over the joint's largest"""
     gravity: Array
     """(N,) [N m] that holds the arm"""
     effort: Array
@@ -88,7 +90,7 @@ class Averages(NamedTuple):
     @property
     def design(self) -> Array:
         """(N, 5) in the order of the coefficients."""
-        columns = (self.speed, np.sign(self.direction), self.acceleration, self.gravity, np.ones(len(self.time)))
+        columns = (self.speed, np.sign(self.direction), self.acceleration, self.gravity, self.gain)
         return np.stack(columns, axis=1)
 
     @property
@@ -137,12 +139,14 @@ def _averages(
     apart = np.diff(log.time)
     before = np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, len(apart) - 1)
     near = apart[before] <= max(_SPARSE * length, 2.0 * np.median(apart))
+    gain = average(at(data.gain), window)
     return Averages(
-        error=average(data.references[joint].sample(time, delays)[..., 0] - position, window),
+        error=average(data.references[joint].sample(time, delays)[..., 0] - position, window) * gain,
         command_speed=-average(at(log.command), first),
         speed=speed,
         acceleration=average(position, second),
         direction=average(np.tanh(smooth / _STILL_SPEED), window),
+        gain=gain,
         gravity=average(at(data.gravity), window),
         effort=average(at(data.effort), window),
         load=average(at(data.load), window),

@@ -102,6 +102,12 @@ class ExcitationLog:
         return gravity_torque(self.arm, self.log.position)
 
     @cached_property
+    def gain(self) -> Array:
+        """(T, n) P gain over each joint's largest."""
+        found = np.ones_like(self.log.position) if self.log.gain is None else self.log.gain
+        return found / found.max(axis=0).clip(1e-9)
+
+    @cached_property
     def references(self) -> list[ServoReference]:
         """Of each joint; known servos ramp to each command at top speed."""
         log, known = self.log, is_excitation(self.log) or self.arm.name in CATALOGUE
@@ -199,7 +205,7 @@ def join_logs(arm: Arm, excluded: Sequence[Exclusions]) -> ExcitationLog:
         segments += _spans(number, rows, time)
         times.append(time)
         begin = time[-1] + _APART
-    names = [name for name in ("torque", "current") if all(getattr(log, name) is not None for log in logs)]
+    names = [name for name in ("torque", "current", "gain") if all(getattr(log, name) is not None for log in logs)]
     names += ["position", "command", "target", "true_tcp"]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(log, name) for log in logs]) for name in names}
     everything = RunLog(

@@ -481,8 +481,10 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int]) -> Iterator[Rema
         if abs(apart) > APART / 2:
             said = f"{name} is {np.rad2deg(apart):.0f} deg from its command (median): a weak servo, or another zero"
             everywhere = abs(apart) > APART and SCATTERED * scattered < abs(apart) and gain > FOLLOWED
-            remedy = "check unit, joint order and zero of states and commands" if everywhere else ""
-            yield f"{said} (--map JOINT=THEIRS{-apart:+.3g} in rad)", remedy
+            remedy = (
+                f"check unit, joint order and zero of states and commands; --map JOINT=THEIRS{-apart:+.3g} (in rad)"
+            )
+            yield said, remedy if everywhere else ""
 
 
 def _check_copies(motion: RecordedMotion, command: Array) -> Iterator[Remark]:
