@@ -259,7 +259,7 @@ def _notes(twin: Twin, found: Fit, light: Mask, silent: Mask) -> list[str]:
         notes.append(f"replayed where it was, as it never answers: {', '.join(compress(twin.joint_names, silent))}")
     if twin.unknown_scale:
         notes.append(
-            f"only the ratios of stiffness, damping, friction, inertia and torque limit are known, not their common "
+            f"at most the ratios of stiffness, damping, friction, inertia and torque limit are known, not their common "
             f"scale, so no torques: {', '.join(twin.unknown_scale)}"
         )
     if pressed := list(compress(twin.names, found.at_bound)):
