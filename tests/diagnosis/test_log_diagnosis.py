@@ -29,6 +29,7 @@ WEARS = {
     "sticky roll": with_joint(4, coulomb=0.25, stiction=0.30),
     "blocked wrist": with_joint(3, coulomb=8.0, stiction=9.0),
     "limp wrist": with_joint(3, torque_limit=1e-3),
+    "half gain": replace(HEALTHY, position_gain=0.5 * HEALTHY.position_gain),
 }
 TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
 
@@ -40,6 +41,8 @@ def logs():
     zeros = [replace(log, extra={ZEROS: "the zeros are not known"}) for log in found["soft elbow"]]
     return found | {
         "unknown zeros": zeros,
+        "half gain": [replace(log, gain=np.full_like(log.position, 16)) for log in found["half gain"]]
+        + [replace(log, gain=np.full_like(log.position, 32)) for log in found["healthy"]],
         "half scale": [replace(log, position=scale * log.position) for log in found["healthy"]],
     }
 
@@ -60,6 +63,7 @@ def found(logs):
         ("blocked wrist", {("wrist_flex", "stuck")}),
         ("limp wrist", {("wrist_flex", "stuck")}),
         ("half scale", {("shoulder_pan", "stuck")}),
+        ("half gain", set()),
         ("unknown zeros", {("elbow_flex", "hysteresis"), ("elbow_flex", "lag")}),  # as sag tells no stiffness
     ],
 )
@@ -72,9 +76,10 @@ def test_one_wear_is_named_and_nothing_else(found, name, expected):
 
 def test_stiffness_is_measured_within_its_interval(found):
     """Stiction and load friction shift it by a few percent, as they would in any log of a real arm."""
-    for name in ("healthy", "soft elbow", "late elbow"):
+    known = {name: WEARS[name] for name in ("healthy", "soft elbow", "late elbow")} | {"half gain": HEALTHY}
+    for name, wear in known.items():
         for joint in (1, 2, 3):
-            k, truth = found[name].measurement.joints[joint].stiffness_nm_per_rad, WEARS[name].position_gain[joint]
+            k, truth = found[name].measurement.joints[joint].stiffness_nm_per_rad, wear.position_gain[joint]
             assert 0.95 * k.low < truth < 1.05 * k.high, (name, joint, k, truth)
             assert k.high / k.low < 1.6
 

@@ -260,7 +260,7 @@ def least_load(arm: Arm) -> float:
 
 @lru_cache
 def torque_size(arm: Arm) -> float:
-    """Largest load over that of a myCobot 280; of an arm that hangs at rest, half its largest anywhere."""
+    """Largest load, or half of that anywhere, over that of a myCobot 280."""
     most = max(heaviest_load(arm).max(), 0.5 * largest_loads(arm).max(), least_load(arm))
     return float(most / heaviest_load(mycobot280()).max())
 

@@ -107,7 +107,7 @@ class JointMetrics:
     stiffness_nm_per_rad: Estimate | None = None
     """torque per radian of following error"""
     modelled_nm_per_rad: Estimate | None = None
-    """the same by sag, without the model's doubt: to compare arms of one model"""
+    """the same by sag, without the model's doubt"""
     hysteresis_rad: Estimate | None = None
     """full width between both directions, lag removed"""
     coulomb_nm: Estimate | None = None

@@ -275,9 +275,9 @@ _ASKED, _OTHER = (
 """Words in the titles of what is asked for, and of what is neither position, torque nor current"""
 _SECONDS = re.compile(r"(?i)[._/](?P<nano>n(ano)?)?secs?$")
 _STAMPS = ("header.stamp", "stamp", "")
-"""Times of messages, and mapped ones, may be seconds and nanoseconds; others go first"""
+"""May be seconds and nanoseconds; others go first"""
 _PATHS = ("/", "field.")
-"""Beginnings of titles that are paths in a message"""
+"""Beginnings of paths"""
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 
 
@@ -581,7 +581,7 @@ def _classified(title: str, place: int = -1) -> Column | None:
 
 
 def _ends(title: str) -> Iterator[str]:
-    """Yield a title and, of a path such as ``/joint_states/elbow/position``, what it may end with."""
+    """Yield a title and, of a path such as ``/joint_states/elbow/position``, its ends."""
     yield title
     if title.startswith(_PATHS):
         parts = re.split("[/.]", title)

@@ -111,7 +111,7 @@ def _of_velocities(moved: Array, held: Array, step: float, period: float) -> Lag
 
 
 def _of_steps(moved: Array, held: Array, step: float, doubted: bool) -> Lag | None:
-    """Lag by lone steps of commands, at least `_FEWEST_STEPS` long after the one before where it is ``doubted``."""
+    """Lag by lone steps of commands, `_FEWEST_STEPS` where it is ``doubted``."""
     reach, shares = round(SEARCHED / step), []
     for way, asked in zip(moved.T, held.T, strict=True):
         change = np.diff(asked)
@@ -281,7 +281,7 @@ MISREAD = 16
 SHARPEST = 400.0
 """[rad/s^2] ten times an SO-101's limit"""
 TOO_FAST, SPEED_ROWS = 30.0, 5
-"""times the servo's speed, which may be assumed, over rows: another unit"""
+"""times the servo's speed, over rows: another unit"""
 BRIEF = 1.0
 """[s] of a log that may be a turned table"""
 WRAP = 1.0
