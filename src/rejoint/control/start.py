@@ -85,11 +85,19 @@ class Stance:
 def begin(
     robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None, on_cycle: OnCycle | None = None
 ) -> Recording:
-    """Look, move slowly to rest, and compare with ``stance``; NotReadyError if unsafe."""
+    """Look, move slowly to rest, and compare with ``stance``, or with rest; NotReadyError if unsafe."""
     check_ready(robot)
     motion = move(robot, robot.arm.rest, limits=limits, on_cycle=_first_way(robot, on_cycle))
+    state = robot.read()
+    away = np.abs(state.position - robot.arm.rest).max(axis=0)
     if stance is not None:
-        stance.check(robot.arm, robot.read(), motion.command[-1])
+        stance.check(robot.arm, state, motion.command[-1])
+    elif away.max() > MAX_LEAD:  # commands go no farther
+        name, degrees = robot.arm.joint_names[away.argmax()], np.degrees(away.max())
+        raise NotReadyError(
+            f"{robot.address}: {name} is {degrees:.0f} deg from the rest posture, where it was sent: without torque, "
+            "too weak or slow for its load, or blocked. Support the arm, switch it off, and look at this joint"
+        )
     return motion
 
 
