@@ -504,16 +504,17 @@ _MIN_RATIO = 5e-5
 """[s^2] least trusted J/k: 22 Hz; chosen"""
 
 
-def arm_delay(data: ExcitationLog) -> float:
-    """Delay [s] of commands and answers: lower quartile of the joints."""
-    found = []
+def arm_delay(data: ExcitationLog, least: float = 0.0) -> float:
+    """Delay [s] of commands and answers, more than ``least`` [s]: lower quartile of the joints."""
+    found, delays = [], least + DELAYS
     for joint in range(data.arm.joints):
-        motion = _motion(data, joint, DELAYS)
+        motion = _motion(data, joint, delays)
         if len(motion.time) >= _MIN_WINDOWS:  # a joint that does not move has no time of its own
             fits = np.asarray(np.linalg.lstsq(motion.design, motion.error.T, rcond=None)[0].T)
-            costs = _onset_costs(data, joint, fits)
-            found += [_lowest(costs)] if np.isfinite(costs).any() else []
-    return np.quantile(found, 0.25) if found else _USUAL_DELAY
+            costs = _onset_costs(data, joint, fits, least)
+            found += [least + _lowest(costs)] if np.isfinite(costs).any() else []
+    delay = np.quantile(found, 0.25) if found else _USUAL_DELAY
+    return arm_delay(data, DELAYS[-1]) if not least and delay >= delays[-1] else delay
 
 
 def _lowest(cost: Array) -> float:
@@ -525,15 +526,15 @@ def _lowest(cost: Array) -> float:
     return DELAYS[i] + (DELAYS[1] - DELAYS[0]) * aside
 
 
-def _onset_costs(data: ExcitationLog, joint: int, fits: Array) -> Array:
-    """Squared errors (D,) of simulated step beginnings by laws (D, 5)."""
+def _onset_costs(data: ExcitationLog, joint: int, fits: Array, least: float) -> Array:
+    """Squared errors (D,) of simulated step beginnings by laws (D, 5), ``least`` [s] after the command."""
     log, steps = data.log, data.of_kind(STEP, joint)
     data.require(len(steps) >= 2, "steps", joint)
     offsets = np.arange(0.0, _ONSET, _STEP)
-    time = np.array([s.start for s in steps])[:, None] + offsets  # (S, K)
-    before = np.maximum(np.searchsorted(log.time, time[:, 0]) - 1, 0)
+    time = np.array([s.start for s in steps])[:, None] + least + offsets  # (S, K)
+    before = np.maximum(np.searchsorted(log.time, time[:, 0] - least) - 1, 0)
     start = log.position[before, joint]
-    sent = data.references[joint].sample(time.ravel(), DELAYS).reshape(-1, *time.shape)
+    sent = data.references[joint].sample(time.ravel(), least + DELAYS).reshape(-1, *time.shape)
     drive = sent - log.command[before, joint][:, None]  # (D, S, K)
     lag, half_width, ratio = np.maximum(fits.T[:3, :, None], np.array([0.0, 0.0, _MIN_RATIO])[:, None, None])
     way, speed = np.zeros(drive.shape[:2]), np.zeros(drive.shape[:2])
