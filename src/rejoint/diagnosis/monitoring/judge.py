@@ -269,6 +269,11 @@ class Outlook:
         return self.error_mm if self.controlled_mm is None else self.controlled_mm
 
     @property
+    def later(self) -> bool:
+        """Whether all joints alike are only later in slow motion: a slower connection, no wear."""
+        return all((one.state in ("drifting", "alarm")) == (one.quantity == "hysteresis") for one in self.changes)
+
+    @property
     def over(self) -> bool:
         """Whether the tolerance is reached."""
         return self.tolerance_mm is not None and self.counts_mm >= self.tolerance_mm
@@ -454,6 +459,8 @@ def _cause_of(found: Outlook) -> str:
     if found.state not in ("drifting", "alarm"):
         return ""
     worst = found.changes[0]
+    if found.later:
+        return "All joints are later in slow motion, and rest where they did: commands or answers take longer"
     since = "" if worst.since is None else f" since {_day(worst.since)}"
     return f"{worst.joint or 'Tool'}: {MEANINGS[worst.quantity]} {worst.usual_mm:.1f} -> {worst.now_mm:.1f} mm{since}"
 
@@ -475,6 +482,8 @@ def _error(found: Outlook) -> str:
 
 def _act(found: Outlook, worst: Change, repair: str) -> str:
     whose = f"the servo of {worst.joint}" if worst.joint else "the servos"
+    if found.later:
+        return "look at the connection and the computer (rejoint doctor)"
     if worst.better:
         return (
             f"if {whose} was changed or greased, or the hand carries less, check with --moved --repeat 5; else play or "
