@@ -38,7 +38,6 @@ def test_errors_by_hand():
     assert [t.error_mm for t in found.targets] == pytest.approx([5.0, 10.0, 10.0])
     assert found.error_mm.value == pytest.approx(25 / 3)
     assert found.spread_mm == pytest.approx(np.std([5, 10, 10], ddof=1))
-    assert found.hidden_mm == pytest.approx(2.0)
     # the tool is 2 mm aside in y: sqrt(9 + 4 + 16), sqrt(4 + 100), sqrt(64 + 64)
     assert [t.true_error_mm for t in found.targets] == pytest.approx([29**0.5, 104**0.5, 128**0.5])
 
@@ -47,7 +46,6 @@ def test_nobody_knows_the_tool():
     log = made_up()
     found = open_loop_errors(ARM, dataclasses.replace(log, true_tcp=np.full_like(log.true_tcp, np.nan)))
     assert found.true_error_mm is None
-    assert found.hidden_mm is None
     assert all(t.true_error_mm is None for t in found.targets)
 
 

@@ -287,8 +287,6 @@ class OpenLoop:
     spread_mm: float
     """standard deviation"""
     true_error_mm: Estimate | None
-    hidden_mm: float | None
-    """between tool and encoders; None: unknown"""
 
     @property
     def true_error(self) -> TrueError:
@@ -328,7 +326,6 @@ def open_loop_errors(arm: Arm, log: RunLog) -> OpenLoop:
         error_mm=mean_of(errors),
         spread_mm=float(errors.std(ddof=1)) if len(errors) > 1 else 0.0,
         true_error_mm=mean_of(truth) if known else None,
-        hidden_mm=float(apart(tcp, log.true_tcp).mean()) if known else None,
     )
 
 

@@ -159,7 +159,7 @@ def find(
     """Name everything that is wrong, largest tool error first."""
     position, command = postures
     moved, loads, errors = levers(arm, position), np.abs(gravity_torque(arm, position)), np.abs(command - position)
-    common, bad = _common_lag(measurement, healthy), BAD_MM * length_size(arm)
+    common, bad = common_lag(measurement, healthy), BAD_MM * length_size(arm)
     found = []
     for joint, row in enumerate(measurement.joints):
         case = _Case(
@@ -172,7 +172,7 @@ def find(
             common_lag=common,
         )
         for kind, (quantity, _, rule) in RULES.items():
-            told = None if kind in SEEMING and stuck(case) else rule(case)
+            told = rule(case) if kind == "stuck" or not stuck(case) else None  # it seems to have all kinds of wear
             if told is None:
                 continue
             tcp = 1e3 * told[0]
@@ -333,14 +333,10 @@ RULES: dict[str, tuple[str, str, Callable[[_Case], Found]]] = {
     "noise": ("noise_rad", "restless in its readings", noise),
 }
 """By kind of finding: judged quantity, what it makes of a joint, and rule"""
-SEEMING = ("lag", "offset", "torque_limit")
-"""Kinds not named of a joint that does not follow: it seems to show them, or says them"""
 
 
-def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:
-    """Return the common delay beyond the reference: bus or firmware, not wear."""
-    if healthy is None:
-        return 0.0
-    rows = zip(measurement.joints, healthy.joints, strict=True)
+def common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:
+    """Return the common delay [s] beyond the reference: bus or firmware, not wear."""
+    rows = zip(measurement.joints, (healthy or measurement).joints, strict=True)
     excess = [late.value - usual.value for row, good in rows if (late := row.lag_s) and (usual := good.lag_s)]
     return max(np.median(excess), 0.0) if excess else 0.0
