@@ -236,7 +236,7 @@ def fitted_twin(
         acceleration=replay.acceleration,
         table=table,
     )
-    return replace(twin, notes=tuple(_notes(twin, found, light, silent)))
+    return replace(twin, notes=tuple(_notes(twin, light, silent)))
 
 
 def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> Array:
@@ -246,7 +246,7 @@ def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> A
     return np.max(load * (np.abs(speed) < STILL_SPEED), axis=0, initial=0.0)
 
 
-def _notes(twin: Twin, found: Fit, light: Mask, silent: Mask) -> list[str]:
+def _notes(twin: Twin, light: Mask, silent: Mask) -> list[str]:
     notes, held_out = [], twin.held_out
     low, high = (end.compensation for end in twin.interval)
     if (fed := np.flatnonzero(np.maximum(low, -high) * ~light > LEAST_FED)).size:
@@ -262,8 +262,6 @@ def _notes(twin: Twin, found: Fit, light: Mask, silent: Mask) -> list[str]:
             f"at most the ratios of stiffness, damping, friction, inertia and torque limit are known, not their common "
             f"scale, so no torques: {', '.join(twin.unknown_scale)}"
         )
-    if pressed := list(compress(twin.names, found.at_bound)):
-        notes.append(f"held at a physical bound: {', '.join(pressed)}")
     if held_out.twin.tcp > min(rival.tcp for rival in (held_out.no_twin, held_out.healthy_twin) if rival):
         notes.append(
             "on motion it has not seen the twin predicts worse than a healthy twin or none: do not train in it"

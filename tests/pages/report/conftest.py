@@ -67,7 +67,6 @@ def diagnosis(arm):
             error_mm=estimate(float(errors.mean())),
             spread_mm=float(errors.std(ddof=1)),
             true_error_mm=estimate(27.0),
-            hidden_mm=7.5,
         ),
         measurement=Measurement(joints=worn, period_s=0.025),
         healthy=dataclasses.replace(healthy, source="12 emulated arms", joints=good, error_mm=Estimate(3.2, 2.1, 4.3)),
@@ -95,7 +94,7 @@ def twin(arm):
         identified=identified,
         held_out=HeldOut(seconds=30.0, no_twin=error(10), healthy_twin=error(8), twin=error(1)),
         fit_seconds=90.0,
-        notes=("held at a physical bound: torque_limit.joint3",),
+        notes=("replayed where it was, as it never answers: joint3",),
     )
 
 
