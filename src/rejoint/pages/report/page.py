@@ -158,12 +158,14 @@ class Contents:
         return BeforeAfter(controller=controller, before=self.as_found(), after=_errors(self.comparison, controller))
 
     def as_found(self) -> MeanErrors:
-        """Errors of the uncorrected arm: in the diagnosis, else under its own controller in the comparison."""
+        """Errors of the uncorrected arm: under its own controller in the comparison, else in the diagnosis."""
         own, comparison = DefaultController.name, self.comparison
+        if comparison is not None and own in comparison.controllers and not comparison.calibration:
+            found = _errors(comparison, own)
+            if found.encoders is not None:
+                return found
         open_loop = None if self.diagnosis is None else self.diagnosis.open_loop
         if open_loop is None:
-            if comparison is not None and own in comparison.controllers and not comparison.calibration:
-                return _errors(comparison, own)
             return MeanErrors(encoders=None, tool=NOT_KNOWN)
         tool, log = open_loop.true_error, self.folder.log("targets")
         if tool.value is None and self.calibration is not None and log.exists():
