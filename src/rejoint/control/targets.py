@@ -215,7 +215,9 @@ def draw_set(arm: Arm, rng: np.random.Generator, count: int) -> Array:
     InputError without a region, or where the boxes leave too few.
     """
     if arm.targets.is_point:
-        raise InputError(f"targets: {arm.name} has no region to draw them from; give some, or `targets` in its file")
+        raise InputError(
+            f"targets: {arm.name} has no region to draw them from; give `targets` or another `rest_deg` in its file"
+        )
     if not arm.keep_out:
         return arm.targets.sample(rng, (count,))
     crowded = replace(
