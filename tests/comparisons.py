@@ -7,15 +7,15 @@ import numpy as np
 from rejoint.control.comparison.result import Protocol, collect, comparison_of, row_of
 
 
-def made_comparison(arm, columns, targets, protocol=None, robot="emulated:worn", **facts):
+def made_comparison(arm, columns, targets):
     """A comparison of controllers whose ``columns`` (S, R, K) of results are given by name."""
-    protocol, parts = protocol or Protocol(), {}
+    protocol, parts = Protocol(), {}
     for name, values in columns.items():
         shape = np.shape(values["crossed"])
         parts[name] = collect((), shape, protocol) | {"held": np.ones(shape), **values}
     rows = tuple(row_of(name, part, protocol) for name, part in parts.items())
-    told = {"robot": robot, "arm": arm.name, "seed": 0, "batched": True, "protocol": protocol, "rows": rows} | facts
-    return comparison_of(parts, np.asarray(targets, dtype=float), **told)
+    told = {"robot": "emulated:worn", "arm": arm.name, "seed": 0, "batched": True, "protocol": protocol, "rows": rows}
+    return comparison_of(parts, targets, **told)
 
 
 def refilled(found, controller, **columns):

@@ -9,10 +9,10 @@ from rejoint.control.start import begin
 from rejoint.system.errors import GuardTripError, RobotError
 
 
-def deploy(robot, controller, job, *, model=None, correction=None):
+def deploy(robot, controller, job, *, model=None):
     """Bring an arm to its rest posture and then to the targets of ``job``."""
     start = begin(robot)
-    targets = TargetSequence(robot.arm, job.targets[None], turns=job.turns and job.turns[None], correction=correction)
+    targets = TargetSequence(robot.arm, job.targets[None], turns=job.turns and job.turns[None])
     recording = run(robot, controller, targets, Schedule(dwell=job.dwell, sent=start.command[-1]))
     return recording, judge_targets(robot.arm, recording, job, model)
 

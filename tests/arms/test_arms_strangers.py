@@ -23,18 +23,18 @@ SIX = (  # kind, origin in the frame before, axis, limits [rad] or [m]: the buil
 LIFT = ("prismatic", "0.05 0 0.3", Z, (0.1, 0.4))
 
 
-def urdf(joints: tuple, more: str = "", tool: str = "0 0.1 0", root: str = "base") -> str:
+def urdf(joints: tuple, more: str = "") -> str:
     """Links ``l1`` on, each of a kilogram, joints ``j1`` on, and ``tool0`` at their end."""
-    parts = [f'<link name="{root}"/>']
+    parts = ['<link name="base"/>']
     for i, (kind, origin, axis, (low, high)) in enumerate(joints, start=1):
-        parent = root if i == 1 else f"l{i - 1}"
+        parent = "base" if i == 1 else f"l{i - 1}"
         parts.append(
             f'<link name="l{i}"><inertial><origin xyz="0 0 0.05"/><mass value="1"/><inertia ixx="0.004" iyy="0.004" '
             f'izz="0.004" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="j{i}" type="{kind}"><parent '
             f'link="{parent}"/><child link="l{i}"/><origin xyz="{origin}"/><axis xyz="{axis}"/>'
             f'<limit lower="{low}" upper="{high}" velocity="2" effort="1"/></joint>'
         )
-    parts.append(fixed(f"l{len(joints)}", "tool0", tool))
+    parts.append(fixed(f"l{len(joints)}", "tool0", "0 0.1 0"))
     return f'<robot name="stranger">{"".join(parts)}{more}</robot>'
 
 

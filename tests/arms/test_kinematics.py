@@ -26,8 +26,8 @@ from rejoint_lab.research.reproduction.measures import DH_TABLE, PAPER_ANGLE_SHI
 ARM = mycobot280()
 
 
-def random_postures(count: int, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(ARM.lower, ARM.upper, (count, ARM.joints))
+def random_postures(count: int) -> np.ndarray:
+    return np.random.default_rng(0).uniform(ARM.lower, ARM.upper, (count, ARM.joints))
 
 
 @pytest.mark.parametrize("shape", [(), (7,), (2, 3)])

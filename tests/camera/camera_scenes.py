@@ -39,11 +39,11 @@ class Taken:
     views: list
 
 
-def view_of(rig, name, links, rng, noise=0.1):
-    """Visible corners with ``noise`` [px], without an image."""
+def view_of(rig, name, links, rng):
+    """Visible corners with noise of 0.1 px, without an image."""
     pose, corners = rig.sight(tcp_pose(ARM, links)), rig.board.corners
     pixel = rig.lens.project(corners @ pose[:3, :3].T + pose[:3, 3])
-    return BoardView(name=name, number=np.arange(len(corners)), pixel=pixel + noise * rng.standard_normal(pixel.shape))
+    return BoardView(name=name, number=np.arange(len(corners)), pixel=pixel + 0.1 * rng.standard_normal(pixel.shape))
 
 
 @lru_cache

@@ -15,10 +15,10 @@ def found():
     return film_of(taken()).fit(ARM)
 
 
-def fresh(count=40):
+def fresh():
     """Postures within the region of targets that no view shows, and where the links are there but for the play."""
     rng = np.random.default_rng(9)
-    position = ARM.rest + rng.uniform(-0.3, 0.3, (count, ARM.joints))
+    position = ARM.rest + rng.uniform(-0.3, 0.3, (40, ARM.joints))
     return position, WORN.joints(ARM, position)
 
 

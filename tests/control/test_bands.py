@@ -20,14 +20,14 @@ ARM = mycobot280()
 DWELL = Schedule(dwell=2.0, keep_going=True)
 
 
-def sticky_log(lead, slope=0.1, offset=0.0, period=0.025, seconds=60.0):
+def sticky_log(lead, offset=0.0, period=0.025):
     """A log in which every joint follows a slow wave once its lead is ``lead`` [rad] beyond what gravity takes."""
-    time = np.arange(0.0, seconds, period)
+    time = np.arange(0.0, 60.0, period)
     phase = 2.0 * np.pi * time / 10.0
     command = ARM.rest + 0.3 * np.sin(phase)[:, None] * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
     position = command.copy()
     for k in range(1, len(time)):
-        balance = slope * gravity_torque(ARM, position[k - 1]) + offset
+        balance = 0.1 * gravity_torque(ARM, position[k - 1]) + offset
         push = command[k - 1] - position[k - 1] - balance
         position[k] = position[k - 1] + np.sign(push) * np.maximum(np.abs(push) - lead, 0.0)
     return RunLog.of(time, command, np.round(position / ARM.encoder_step) * ARM.encoder_step, arm=ARM)

@@ -19,9 +19,8 @@ TARGETS = ARM.targets.sample(np.random.default_rng(8), (3, 2))
 ALL = np.ones(3, dtype=bool)
 
 
-def inputs(position, *, sent=None, target=TARGETS[:, 0], time=0.0):
-    position = np.array(position, dtype=float)
-    state = state_of(position, time)
+def inputs(position, *, sent=None, time=0.0):
+    target, state = TARGETS[:, 0], state_of(position, time)
     return inputs_of(state, target, find_postures(ARM, target, REST, None), position if sent is None else sent, time)
 
 

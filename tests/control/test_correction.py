@@ -60,7 +60,7 @@ def test_the_tool_arrives_and_the_encoders_see_it_beside_the_target(make):
     np.testing.assert_array_equal(aimed.target, np.where(np.isfinite(plain.target), plain.target, aimed.target))
 
 
-def test_without_a_correction_the_aim_is_the_target_and_the_log_has_none(tmp_path):
+def test_without_a_correction_the_aim_is_the_target_and_the_log_has_none():
     recording = run(PerfectServos(DISPLACED), DefaultController(ARM), TARGETS, Schedule(dwell=0.5))
     np.testing.assert_array_equal(recording.aim, recording.target)
     assert recording.log(0, "one").aim is None

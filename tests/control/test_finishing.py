@@ -55,8 +55,8 @@ def driven(*, wear="worn?seed=701", **seeing):
     return recording, np.array(states), seen
 
 
-def true_errors(recording, end=DWELL):
-    at = (recording.since_target[:, 0] > end - 0.2) & (recording.since_target[:, 0] <= end)
+def true_errors(recording):
+    at = (recording.since_target[:, 0] > DWELL - 0.2) & (recording.since_target[:, 0] <= DWELL)
     error = np.linalg.norm(recording.true_tcp - recording.target, axis=-1)[:, 0]
     return np.array([error[at & (recording.target_index[:, 0] == k)].mean() for k in range(TARGETS.shape[1])])
 

@@ -58,8 +58,8 @@ def known(wears):
     return replace(LIMITS, bands=bands)
 
 
-def targets(count, number=2, seed=5):
-    return ARM.targets.sample(np.random.default_rng(seed), (count, number))
+def targets(count, seed=5):
+    return ARM.targets.sample(np.random.default_rng(seed), (count, 2))
 
 
 DWELL = Schedule(dwell=2.0, keep_going=True)
@@ -240,23 +240,13 @@ def test_an_excitation_finds_stuck_joints_and_is_not_ended_by_them(tells_load):
     assert (np.ptp(recording.position[:, :, 0], axis=0) < np.radians(1.0)).all()
 
 
-def follow(load_of, steps=120, count=1):
-    """Raise the command of joint 1 by 0.1 deg a cycle over a reading that stands; ``load_of`` (lead) is told."""
-    state = state_of(np.tile(REST, (count, 1)))
-    watch, found = Following(ARM, state, state.position), []
-    for k in range(1, steps):
-        lead = np.zeros((count, 6))
-        lead[:, 0] = np.radians(0.1 * (k - 1))
-        told = None if load_of is None else load_of(lead)
-        now = replace(state, time=np.full(count, 0.025 * k), load=told)
-        found.append(watch.check(now, REST + lead, np.ones(count, dtype=bool)))
-    return watch, found
-
-
 def test_without_load_a_joint_that_hardly_ever_moved_is_bounded_and_not_judged():
-    watch, found = follow(None)
-    assert not np.any(found)
-    wanted = REST[None] + 0.3
+    """The command of joint 1 is raised by 0.1 deg a cycle over a reading that stands."""
+    wanted, state = REST[None] + 0.3, state_of(REST)
+    watch = Following(ARM, state, state.position)
+    for k in range(1, 120):
+        sent = REST[None] + np.radians(0.1 * (k - 1)) * np.eye(6)[0]
+        assert not watch.check(replace(state, time=np.full(1, 0.025 * k)), sent, np.full(1, True)).any()
     assert 0.03 < watch.bound(wanted, REST[None], np.full(1, True))[0, 0] - REST[0] < 0.115
     assert (watch.bound(wanted, REST[None], np.full(1, False)) == wanted).all(), "no bound on a trajectory"
     sticky = Following(ARM, state_of(REST[None]), REST[None], Bands(stood=np.full(6, 0.08)))
@@ -287,14 +277,14 @@ def bands_of(width_deg, **changes):
     return Bands(**{**flat, **changes}, width=np.full(6, np.radians(width_deg)))
 
 
-def pushed(lead_deg, bands, *, before_deg=0.0, period=0.025, cycles=200, moves=()):
+def pushed(lead_deg, bands, *, period=0.025, moves=()):
     """When [s] a joint is overdue that leads by so much from 0.5 s on, and stands but for the cycles ``moves``."""
     state = state_of(REST)
     third, position = np.arange(6) == 2, REST.copy()
-    watch = Following(ARM, state, (REST + np.radians(before_deg) * third)[None], bands)
-    for k in range(1, cycles):
+    watch = Following(ARM, state, REST[None], bands)
+    for k in range(1, 200):
         position = position + ARM.encoder_step * (k in moves) * third
-        sent = position + np.radians(lead_deg if (k - 1) * period >= 0.5 else before_deg) * third
+        sent = position + np.radians(lead_deg) * ((k - 1) * period >= 0.5) * third
         now = state_of(position, k * period)
         bad = watch.check(now, sent[None], np.zeros(1, dtype=bool))
         if bad.any():
@@ -343,15 +333,15 @@ def test_readings_that_change_and_joints_of_which_nothing_is_known_are_never_ove
     )
 
 
-def stands_after_a_step(joints, late, *, cycles=12, period=0.05):
-    """Verdicts (cycles, n) after ``joints`` (n,) are sent 25 deg on at once, of which those ``late`` (n,) stand."""
+def stands_after_a_step(joints, late):
+    """Verdicts (12, n) after ``joints`` (n,) are sent 25 deg on at once, of which those ``late`` (n,) stand."""
     swings = [REST + np.radians(3.0) * np.sin(0.5 * min(k, 55)) for k in range(61)]  # so all are known to move
-    wanted = np.array([*swings, *[swings[-1] + np.radians(25.0) * joints] * cycles])
+    wanted = np.array([*swings, *[swings[-1] + np.radians(25.0) * joints] * 12])
     read = np.array([wanted[0], *wanted[:-1]])  # a cycle later
     read[62:, late] = wanted[60, late]
     watch, found = Following(ARM, state_of(read[:1], 0.0), wanted[:1]), []
     for k in range(1, len(wanted)):
-        bad = watch.check(state_of(read[k][None], period * k), wanted[k - 1][None], np.ones(1, dtype=bool))
+        bad = watch.check(state_of(read[k][None], 0.05 * k), wanted[k - 1][None], np.ones(1, dtype=bool))
         found.append(bad[0])
     assert not np.any(found[:60])
     return np.array(found[60:])

@@ -22,7 +22,7 @@ def columns(layout):
     return result
 
 
-def random_inputs(rng, count, time=0.0):
+def random_inputs(rng, count, time):
     position = ARM.rest + rng.normal(0.0, 0.2, (count, 6))
     return inputs(position, ARM.targets.sample(rng, (count,)), position + rng.normal(0.0, 0.05, (count, 6)), time)
 

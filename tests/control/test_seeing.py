@@ -29,14 +29,14 @@ class Told:
         return self.one
 
 
-def standing(shifts, sigma=np.nan):
+def standing(shifts):
     """Return what an arm that stands makes of sightings ``shifts`` (K, 3) [m] beside its encoders: (K, 3) [m]."""
     eye, place, found = Told(), tcp_position(ARM, POSTURE), []
     seen = Seen(ARM, Displacement.none(ARM), eye=eye)
     seen.aim(place[None], POSTURE[None], START)
     for k, shift in enumerate(shifts):
         now = k * PERIOD
-        eye.one = Sighting(time=now, place=place + shift, sigma=sigma)
+        eye.one = Sighting(time=now, place=place + shift)
         state = state_of(POSTURE, now)
         seen.again(state)
         missing = seen.missing(state)

@@ -10,6 +10,7 @@ import numpy as np
 from rejoint.arms import Array, so101
 
 ARM = so101()
+PERIOD = 0.02
 SAGE_NAMES = ("Rotation", "Pitch", "Elbow", "Wrist_Pitch", "Wrist_Roll", "Jaw")
 
 
@@ -20,9 +21,9 @@ class Sample:
     command: Array
 
 
-def sample(rows: int = 60, period: float = 0.02) -> Sample:
+def sample(rows: int = 60) -> Sample:
     """Five joints on five different sinusoids, states two rows behind the commands and sagging a little."""
-    time = period * np.arange(rows)
+    time = PERIOD * np.arange(rows)
     phase = 2 * np.pi * np.outer(np.arange(rows + 2) - 2, np.array([1.0, 1.7, 2.3, 3.1, 4.3])) / rows
     moving = 0.6 * np.sin(phase) + 0.05 * np.arange(5)
     return Sample(time=time, position=0.97 * moving[:-2], command=moving[2:])
@@ -32,22 +33,22 @@ COUNT = 2 * np.pi / 4096
 """[rad] of an encoder"""
 
 
-def worn_sample(seconds: float = 20.0, period: float = 0.02, lag: float = 0.08, stepping: bool = False) -> Sample:
+def worn_sample(seconds: float = 20.0, stepping: bool = False) -> Sample:
     """A log of an arm that answers late, with play in the direction of its motion, in whole counts of its encoders."""
-    fine = np.arange(-2.0, seconds, period / 4)
+    fine = np.arange(-2.0, seconds, PERIOD / 4)
     speeds = np.array([0.9, 1.3, 1.7, 2.2, 2.9])
     asked = 0.5 * np.sin(np.outer(fine, speeds)) + 0.2 * np.sin(np.outer(fine, 1.9 * speeds)) + 0.05 * np.arange(5)
     if stepping:
         asked = 0.4 * np.sign(np.sin(np.outer(fine, np.full(5, 2 * np.pi / 6.0)))) + 0.05 * np.arange(5)
-    late = np.maximum(np.arange(len(fine)) - round(lag / (period / 4)), 0)
+    late = np.maximum(np.arange(len(fine)) - 16, 0)  # 80 ms
     position, play = np.empty_like(asked), 0.02
     position[0] = asked[0]
     for k in range(1, len(fine)):
         goal = np.clip(position[k - 1], asked[late[k]] - play, asked[late[k]] + play)
-        most = 0.6 * period / 4 if stepping else np.inf
+        most = 0.6 * PERIOD / 4 if stepping else np.inf
         position[k] = position[k - 1] + np.clip(goal - position[k - 1], -most, most)
     rows = np.flatnonzero(fine >= 0)[::4]
-    time = period * np.arange(len(rows))
+    time = PERIOD * np.arange(len(rows))
     return Sample(time=time, position=np.round(position[rows] / COUNT) * COUNT, command=asked[rows])
 
 

@@ -14,7 +14,7 @@ from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError
 
 
-def motion(found: Sample, unit: str = "rad") -> RecordedMotion:
+def motion(found: Sample) -> RecordedMotion:
     return RecordedMotion(
         name="motion",
         path=Path("log.csv"),
@@ -25,7 +25,7 @@ def motion(found: Sample, unit: str = "rad") -> RecordedMotion:
         command=found.command,
         columns=tuple(f"state.{name}" for name in ARM.joint_names),
         robot="csv:motion",
-        angle_unit=unit,
+        angle_unit="rad",
     )
 
 

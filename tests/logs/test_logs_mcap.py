@@ -20,8 +20,8 @@ EPOCH_NS = 1_750_000_000_123_456_789
 NAMES = [*ARM.joint_names, "gripper"]
 
 
-def stamps(found: Sample, origin: int = EPOCH_NS) -> list[int]:
-    return [origin + round(1e9 * float(time)) for time in found.time]
+def stamps(found: Sample) -> list[int]:
+    return [EPOCH_NS + round(1e9 * float(time)) for time in found.time]
 
 
 def streams(found: Sample) -> Iterator[tuple[str, int, list[float]]]:

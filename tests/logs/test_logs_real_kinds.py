@@ -47,8 +47,8 @@ def columns(path: Path, table: dict[str, np.ndarray]) -> Path:
     return path
 
 
-def titled(prefix: str, values: np.ndarray, first: int = 0) -> dict[str, np.ndarray]:
-    return {f"{prefix}{k}": column for k, column in enumerate(values.T, start=first)}
+def titled(prefix: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    return {f"{prefix}{k}": column for k, column in enumerate(values.T)}
 
 
 def motor_log(folder: Path) -> Path:

@@ -51,10 +51,10 @@ def write(path: Path, storage: str, messages: list[tuple[str, int, object]], pac
     return next(file for file in path.iterdir() if file.suffix in (".mcap", ".db3", ".zstd"))
 
 
-def states(found: Sample, late: int = 0) -> list[tuple[str, int, object]]:
-    """Joint states that are recorded some ns after their stamps."""
+def states(found: Sample) -> list[tuple[str, int, object]]:
+    """Joint states that are recorded at their stamps."""
     rows = zip((found.time * 1e9).round().astype(int).tolist(), found.position, strict=True)
-    return [("/joint_states", t + late, state(START + t, q)) for t, q in rows]
+    return [("/joint_states", t, state(START + t, q)) for t, q in rows]
 
 
 @pytest.mark.parametrize("packed", ["NONE", "FILE", "MESSAGE"])

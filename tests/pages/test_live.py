@@ -66,7 +66,7 @@ def test_virtual_time_is_slowed_down_to_the_pace_which_may_change(monkeypatch):
         assert wall[0] == pytest.approx(end)
 
 
-def test_a_view_that_fails_or_was_never_opened_does_not_end_what_is_driven(monkeypatch):
+def test_a_view_that_fails_or_was_never_opened_does_not_end_what_is_driven():
     view = LiveView()
     view._page = SimpleNamespace(watched=True, draw=lambda *_: 1 / 0)
     robot = view.watch(open_robot("emulated:worn", seed=4), paced=False)

@@ -36,14 +36,14 @@ BOUND = 1e-5
 """[rad] by which other runtimes may differ"""
 
 
-def write_policy(path, arm, gains=None, **changes):
+def write_policy(path, arm):
     """A policy with a random network, which does something in every cycle."""
     n = arm.joints
     law = CommandLaw(anchor="goal", stiffness=(7.0,) * n, load_penalty=3.0, decay_start=1.0)
     size = sum(slot.size for slot in layout_slots("residual", n))
     torch.manual_seed(1)
     network = nn.Sequential(nn.Linear(size, 16), nn.ELU(), nn.Linear(16, n), nn.Tanh())
-    contract = replace(policy_contract(arm, None, DEFAULT, 0), law=replace(law, **changes), servo_gains=gains)
+    contract = replace(policy_contract(arm, None, DEFAULT, 0), law=law)
     export_policy(path, network, contract)
     return Policy.load(path)
 

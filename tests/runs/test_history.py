@@ -15,7 +15,7 @@ BEGIN = datetime(2027, 1, 1)
 JOINTS = ("shoulder", "elbow")
 
 
-def measures(error=3.0, hysteresis=2.0, temperature=25.0):
+def measures(error=3.0, hysteresis=2.0):
     joints = tuple(
         JointCheck(
             joint=name,
@@ -24,7 +24,7 @@ def measures(error=3.0, hysteresis=2.0, temperature=25.0):
             deviation_mm=1.0,
             sag_mm=None,
             lever_mm=200.0,
-            temperature_c=temperature,
+            temperature_c=25.0,
         )
         for name in JOINTS
     )
@@ -35,7 +35,7 @@ def measures(error=3.0, hysteresis=2.0, temperature=25.0):
         approach_mm=0.9,
         true_error_mm=None,
         true_approach_mm=None,
-        temperature_c=temperature,
+        temperature_c=25.0,
     )
 
 

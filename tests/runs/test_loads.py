@@ -122,7 +122,7 @@ def test_a_policy_drives_its_arm_with_a_told_load_and_guard_and_calibration_are_
         policy.controller(replace(ARM, mass=told.mass))
 
 
-def test_a_calibrated_arm_takes_a_tool_and_a_payload_and_aims_by_them(run, tmp_path):
+def test_a_calibrated_arm_takes_a_tool_and_a_payload_and_aims_by_them(run):
     askew = replace(Displacement.none(ARM), offset=np.array([0.0, 0.01, -0.01, 0.0, 0.0, 0.0]))
     own = made_calibration(ARM, askew)
     write_calibration(run / "calibration.toml", own)

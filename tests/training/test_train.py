@@ -26,11 +26,6 @@ def options(**changes):
     return dataclasses.replace(TrainingOptions(preset=SMALL, agents=16), **changes)
 
 
-def small_learner(seed=0, **ppo):
-    task = ReachTask(ARM, BroadRanges(arm=ARM), 16, SMALL.task, seed=seed)
-    return Learner(task, dataclasses.replace(SMALL.ppo, **ppo), seed=seed)
-
-
 def test_a_training_leaves_a_policy_that_drives_and_its_curves(tmp_path):
     seen = []
     result = train(ARM, None, out=tmp_path, options=options(), on_progress=lambda *report: seen.append(report))
@@ -121,8 +116,8 @@ def test_advantages_worked_by_hand():
 
 
 def test_time_outs_are_bootstrapped_from_the_state_before_the_new_target():
-    learner = small_learner()
-    task, seen = learner.task, []
+    task, seen = ReachTask(ARM, BroadRanges(arm=ARM), 16, SMALL.task, seed=0), []
+    learner = Learner(task, SMALL.ppo, seed=0)
     step = task.step
     task.step = lambda action: seen.append(step(action)) or seen[-1]
     rolled = learner.roll()

@@ -29,7 +29,7 @@ def _commands(arm, rng, seconds):
     return time, command
 
 
-def simulate_log(arm, truth, rng, seconds, jitter=0.002):
+def simulate_log(arm, truth, rng, seconds):
     """A run log of the arm whose twin is ``truth``, with encoder steps and jittering answers."""
     timestep = 0.005
     time, command = _commands(arm, rng, seconds)
@@ -41,7 +41,7 @@ def simulate_log(arm, truth, rng, seconds, jitter=0.002):
     simulation.twins.rollout(np.repeat(control[:, :1], 400, axis=1))
     path = np.vstack([simulation.twins.qpos.copy(), simulation.twins.rollout(control)[0]])
     clock = time[0] + np.arange(len(path)) * timestep
-    read = np.clip(time + rng.uniform(-jitter, jitter, len(time)), clock[0], clock[-1])
+    read = np.clip(time + rng.uniform(-0.002, 0.002, len(time)), clock[0], clock[-1])
     position = np.stack([np.interp(read, clock, column) for column in path.T], axis=1)
     position = np.round(position / arm.encoder_step) * arm.encoder_step
     return RunLog.of(time, command, position, arm=arm, label="excitation")

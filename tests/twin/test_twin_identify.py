@@ -29,7 +29,7 @@ def test_fit_finds_the_truth(twin, truth):
     assert found.ramp_speed == pytest.approx(float(truth.ramp_speed), rel=0.05)
 
 
-def test_held_out_motion_decides(twin, arm, truth, log):
+def test_held_out_motion_decides(twin, log):
     held = twin.held_out
     assert held.twin.joint < 0.1 * held.healthy_twin.joint
     assert held.twin.tcp < 5e-4

@@ -18,9 +18,9 @@ ARM = mycobot280()
 RUBBING = replace(nominal_parameters(ARM), load_friction=np.full(ARM.joints, 0.4))
 
 
-def log(label, gain, seconds=4.0):
+def log(label, gain):
     """A slow swing, answered at once."""
-    time = np.arange(0.0, seconds, 0.02)
+    time = np.arange(0.0, 4.0, 0.02)
     command = ARM.rest + 0.2 * np.sin(time)[:, None]
     none = np.full((len(time), 3), np.nan)
     return RunLog(

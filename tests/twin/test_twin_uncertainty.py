@@ -8,18 +8,11 @@ from rejoint.twin.fit import jackknife
 from rejoint.twin.parameters import Prior
 
 
-def linear(seed=0, clusters=7, parameters=3):
-    rng = np.random.default_rng(seed)
-    sizes = rng.integers(8, 40, clusters)
-    slopes = [rng.normal(0.0, 1.0, (size, parameters)) for size in sizes]
-    answers = [
-        x @ np.arange(1.0, 1.0 + parameters) + rng.normal(0.0, 1.0) + rng.normal(0.0, 0.3, len(x)) for x in slopes
-    ]
-    one = np.eye(parameters)
-    prior = Prior(
-        mean=0.0 * one[0], sigma=np.full(parameters, 1e4), lower=-np.ones(3), upper=np.ones(3), correlation=one
-    )
-    return prior, slopes, answers
+def linear():
+    rng, one = np.random.default_rng(0), np.ones(3)
+    slopes = [rng.normal(0.0, 1.0, (size, 3)) for size in rng.integers(8, 40, 7)]
+    answers = [x @ [1.0, 2.0, 3.0] + rng.normal(0.0, 1.0) + rng.normal(0.0, 0.3, len(x)) for x in slopes]
+    return Prior(mean=0.0 * one, sigma=1e4 * one, lower=-one, upper=one, correlation=np.eye(3)), slopes, answers
 
 
 def solve(slopes, answers):

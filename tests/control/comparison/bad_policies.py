@@ -20,9 +20,9 @@ LATE, FAR = 1.2, 1.02
 """Values of the slots ``waited`` (1.7 s after the target was set) and ``distance`` (52 mm off) that no probe has"""
 
 
-def random_weights(path, arm, seed=0):
+def random_weights(path, arm):
     """Exported before it learned anything, with weights far too large."""
-    weight = np.random.default_rng(seed).normal(0.0, 3.0, (arm.joints, _size(arm)))
+    weight = np.random.default_rng(0).normal(0.0, 3.0, (arm.joints, _size(arm)))
     return _write(path, arm, [(weight, np.zeros(arm.joints))])
 
 

@@ -38,16 +38,12 @@ class Breaks(IntegratorController):
         return np.where(inputs.since_target[:, None] > self.since, self.value, wanted)
 
 
-def on_one_arm(controllers, targets=TARGETS, repetitions=1, **robot):
-    trials, progress, arm = [], [], SaggingRobot(**robot)
-    hooks = {"on_trial": lambda *trial: trials.append(trial), "on_progress": lambda *step: progress.append(step)}
-    found = compared(arm, controllers, targets, repetitions=repetitions, hooks=hooks)
-    return found, trials, progress, arm
-
-
 @pytest.fixture(scope="module")
 def one_arm():
-    return on_one_arm(factories("default", "integrator") | {"policy": Breaks}, repetitions=2)
+    trials, progress, arm = [], [], SaggingRobot()
+    hooks = {"on_trial": lambda *trial: trials.append(trial), "on_progress": lambda *step: progress.append(step)}
+    three = factories("default", "integrator") | {"policy": Breaks}
+    return compared(arm, three, TARGETS, repetitions=2, hooks=hooks), trials, progress, arm
 
 
 def test_three_misses_in_a_row_end_it(one_arm):

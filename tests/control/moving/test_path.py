@@ -18,10 +18,10 @@ from rejoint.system.errors import InputError
 ARM = mycobot280()
 
 
-def bent(count=9, seed=0):
-    rng = np.random.default_rng(seed)
-    time = np.cumsum(rng.uniform(0.1, 0.6, count))
-    return Path(time=time, place=rng.uniform(ARM.targets.lower, ARM.targets.upper, (count, 3)))
+def bent():
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.uniform(0.1, 0.6, 9))
+    return Path(time=time, place=rng.uniform(ARM.targets.lower, ARM.targets.upper, (9, 3)))
 
 
 def test_a_path_goes_through_its_points_from_time_zero_and_stands_still_outside():

@@ -20,9 +20,9 @@ class Still:
         return self.place
 
 
-def sightings(eye, until=100.0, period=0.025):
-    found = {}
-    for now in np.arange(0.0, until, period):
+def sightings():
+    found, eye = {}, EmulatedEye(Still(), seed=3)
+    for now in np.arange(0.0, 100.0, 0.025):
         one = eye.sighting(now)
         if one is not None:
             assert one.time <= now - LATE
@@ -31,12 +31,12 @@ def sightings(eye, until=100.0, period=0.025):
 
 
 def test_noise_rate_and_delay_are_those_of_the_camera_and_seeds_repeat():
-    times, places = sightings(EmulatedEye(Still(), seed=3))
+    times, places = sightings()
     assert np.diff(times).min() > 1.0 / RATE - 0.025 - 1e-9  # at the next control cycle
     assert abs(len(times) - 100.0 * RATE) < 20
     np.testing.assert_allclose(places.std(axis=0), DEVIATION, rtol=0.1)
     np.testing.assert_allclose(places.mean(axis=0), Still.place[0], atol=5e-5)
-    np.testing.assert_array_equal(places, sightings(EmulatedEye(Still(), seed=3))[1])
+    np.testing.assert_array_equal(places, sightings()[1])
 
 
 class Moved(EmulatedEye):

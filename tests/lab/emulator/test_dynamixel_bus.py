@@ -88,8 +88,8 @@ def test_packets_are_found_stuffed_cut_and_behind_garbage(packets, size, garbage
     assert Finder(FORMAT).feed(bytes(spoilt)) == []
 
 
-def made(name="koch", wear="new"):
-    return XArm.build(load_arm(name), wear)
+def made(name="koch"):
+    return XArm.build(load_arm(name), "new")
 
 
 @pytest.fixture

@@ -25,8 +25,8 @@ IS_POWER_ON = bytes.fromhex("FE FE 02 12 FA")
 POWER_IS_ON = bytes.fromhex("FE FE 03 12 01 FA")
 
 
-def connect(server, patience=2.0):
-    return closing(socket.create_connection(place(server), patience))
+def connect(server):
+    return closing(socket.create_connection(place(server), 2.0))
 
 
 @pytest.fixture

@@ -43,7 +43,7 @@ def test_measurements_of_another_calibration_are_not_set_beside_it(tmp_path):
     assert not any(place.startswith(POINTS) for place in shown(tmp_path)[0].places)
 
 
-def test_the_data_sheet_holds_each_number_with_its_count_or_says_not_known(run_folder, comparison, diagnosis):
+def test_the_data_sheet_holds_each_number_with_its_count_or_says_not_known(run_folder, comparison):
     path, _ = export_run(run_folder.path, "datasheet")
     page = Page(path)
     found = {row[0]: row[1:] for row in page.rows}

@@ -15,10 +15,10 @@ def arm():
     return load_arm("mycobot280")
 
 
-def log_of(arm, target, period=0.5):
+def log_of(arm, target):
     rows = len(target)
     position = arm.rest + 0.01 * np.arange(rows)[:, None]
-    return RunLog.of(10 + period * np.arange(rows), position, position, arm=arm, label="hold", target=target)
+    return RunLog.of(10 + 0.5 * np.arange(rows), position, position, arm=arm, label="hold", target=target)
 
 
 def test_a_visit_starts_with_the_last_row_of_the_one_before(arm):
