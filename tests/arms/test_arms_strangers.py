@@ -10,7 +10,7 @@ from rejoint.arms.modelfile import cut, read_tree
 from rejoint.arms.workspace import reach
 from rejoint.system.errors import InputError
 
-Z, Y, X = "0 0 1", "0 1 0", "1 0 0"
+Z, Y = "0 0 1", "0 1 0"
 
 SIX = (  # kind, origin in the frame before, axis, limits [rad] or [m]: the build of a UR5, half its size
     ("revolute", "0 0 0.045", Z, (-6.28, 6.28)),

@@ -22,7 +22,7 @@ from targetdrive import drive_until_error
 pytestmark = pytest.mark.realtime
 
 KOCH, WIDOWX = load_arm("koch"), load_arm("wx250s")
-TORQUE, PROFILE, GOAL = 64, 112, 116
+TORQUE, GOAL = 64, 116
 READ = "FF FF FD 00 FE 0D 00 82 7E 00 0A 00 01 02 03 04 05 06 18 B7"
 WRITE = "FF FF FD 00 FE 25 00 83 74 00 04 00" + "".join(f" 0{i} 00 08 00 00" for i in range(1, 7)) + " 81 BB"
 
@@ -94,11 +94,6 @@ def test_torque_comes_on_where_the_arm_is_in_whatever_turn_a_servo_counts():
         order = [at for at, _ in servo.writes if at in (TORQUE, GOAL)]
         assert order.index(GOAL) < order.index(TORQUE)
     assert not arm.servos[5].writes
-
-
-def limp(servo):
-    """Switched off by its own protection."""
-    servo["Torque_Enable"] = 0
 
 
 @pytest.mark.parametrize(

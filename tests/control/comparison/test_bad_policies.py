@@ -13,7 +13,6 @@ from rejoint.control.comparison.recommend import failure, recommend
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import make_controller
 from rejoint.control.controllers.policy import load_policy
-from rejoint.control.guard import GuardLimits
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.calibration.calibration import write_calibration
 from rejoint.logs.runlog import RunLog
@@ -24,7 +23,6 @@ ARM = mycobot280()
 PROTOCOL = Protocol(dwell=4.0, hold=3.0, window=0.5)
 TARGETS = draw_targets(ARM, sets=1, count=2, seed=1)
 NAMES = ("random", "saturated", "nan", "nan-later", "infinite", "softer")
-LIMITS = GuardLimits.of(ARM)
 
 
 @pytest.fixture(scope="module")

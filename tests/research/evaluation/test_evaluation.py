@@ -15,7 +15,6 @@ from rejoint_lab.research.evaluation.evaluate import (
 from rejoint_lab.research.evaluation.family import ArmFamily, family_targets, find_variant, open_family
 
 ARM = mycobot280()
-FAMILY = ArmFamily(arms=3, targets=2)
 
 
 def test_an_arm_of_a_family_does_not_depend_on_how_many_there_are():
