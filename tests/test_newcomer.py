@@ -92,39 +92,12 @@ def test_a_missing_port_is_not_asked_for_its_server(monkeypatch):
     assert "server" not in str(caught.value)
 
 
-MEANT = """
-/dev/ttyACM0 | feetech:///dev/ttyACM0
-/dev/ttyUSB0 | dynamixel:///dev/ttyUSB0
-bench-3:6000 | dynamixel://bench-3:6000
-192.168.1.20:9000 | tcp://192.168.1.20:9000
-192.168.1.20 | tcp://192.168.1.20:9000
-bench-3 | rejoint arms
-worn | emulated:worn
-"""
-
-
-@pytest.mark.parametrize("line", MEANT.strip().splitlines())
-def test_an_address_without_its_scheme_is_completed(line):
-    written, meant = line.split(" | ")
-    with pytest.raises(rejoint.AddressError) as caught:
-        rejoint.open_robot(written)
-    assert meant in str(caught.value)
-
-
 def test_a_log_survives_an_emulator_that_cannot_listen(tmp_path, cli):
     log = tmp_path / "log.csv"
     log.write_text("precious")
     with listen_tcp("127.0.0.1", 0) as taken:
         cli("emulate", "--port", str(taken.getsockname()[1]), "--log", str(log), code=2)
     assert log.read_text() == "precious"
-
-
-def test_all_wrong_lines_of_a_file_are_named(tmp_path, cli):
-    points = tmp_path / "points.csv"
-    points.write_text("x,y,z\n200,0,180\none,0,180\n200,0,180\ntwo,0,180\n")
-    error = cli("deploy", "emulated:worn", "--targets", str(points), code=2).error
-    assert "line 3" in error
-    assert "line 5" in error
 
 
 def test_a_function_that_makes_no_controller_is_refused():

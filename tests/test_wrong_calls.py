@@ -15,6 +15,7 @@ FILES = {
     "short.csv": "x,y\n200,0\n",
     "hole.csv": "x,y,z\n200,,180\n",
     "ragged.csv": "x,y,z\n1,2\n",
+    "words.csv": "x,y,z\n200,0,180\none,0,180\n200,0,180\ntwo,0,180\n",
     "titles.csv": "x,y,z\n",
     "empty.csv": "",
     "letter.csv": "hello\nworld\n",
@@ -33,6 +34,7 @@ deploy emulated:worn --targets far.csv | out of reach
 deploy emulated:worn --targets short.csv | missing: z
 deploy emulated:worn --targets hole.csv | line 2
 deploy emulated:worn --targets ragged.csv | line 2
+deploy emulated:worn --targets words.csv | line 3, column x: 'one' is no number (also wrong: line 5
 deploy emulated:worn --targets titles.csv | no targets
 deploy emulated:worn --targets empty.csv | empty
 deploy emulated:worn --targets letter.csv | hello
@@ -59,6 +61,10 @@ deploy emulated:warn | worn
 deploy worn | emulated:worn
 deploy so101 | emulated:so101
 deploy 192.168.1.20 | tcp://192.168.1.20:9000
+deploy 192.168.1.20:9000 | tcp://192.168.1.20:9000
+deploy bench-3:6000 | dynamixel://bench-3:6000
+deploy /dev/ttyACM0 | feetech:///dev/ttyACM0
+deploy /dev/ttyUSB0 | dynamixel:///dev/ttyUSB0
 deploy http://192.168.1.20:9000 | tcp://192.168.1.20:9000
 deploy tcp:/192.168.1.20:9000 | tcp://HOST:PORT
 deploy tcp://127.0.0.1:1 | nothing answers
@@ -121,6 +127,10 @@ calibrate emulated:worn run --measure none | repair
 calibrate emulated:worn run --frame table | touch
 calibrate emulated:worn new --measure points=book.xlsx | CSV
 calibrate emulated:worn new --measure points=nothing.csv | no such file
+board x.png | ends in .pdf
+board x.pdf --on wall | --on
+board x.pdf --squares 7 | such as 7x5
+research reproduce table-9 | table-4
 serve emulated:worn nothing | no run folder
 gains emulated:worn run | no servo gains that could be set; an SO-101
 arms add | NAME ADDRESS

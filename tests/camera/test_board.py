@@ -47,9 +47,3 @@ def test_the_command_writes_the_board_and_its_description(tmp_path, cli):
     board = read_board(tmp_path / "mine.toml")
     assert (board.columns, board.rows, board.stretch_x, board.stretch_y) == (8, 5, 1.005, 1.0)
     assert (board.square, board.marker) == pytest.approx((0.028, 0.022 / 0.030 * 0.028), abs=1e-9)
-    for words, line in (
-        (("x.png",), "ends in .pdf"),
-        (("x.pdf", "--on", "wall"), "--on"),
-        (("x.pdf", "--squares", "7"), "such as 7x5"),
-    ):
-        assert line in cli("board", *words, code=2).err

@@ -16,12 +16,11 @@ from rejoint_lab.research.reproduction.campaign import (
 ARM = mycobot280()
 
 
-def test_the_command_line_runs_and_refuses(tmp_path, cli):
+def test_the_command_line_runs(tmp_path, cli):
     found = cli("research", "reproduce", "table-1", "--run", tmp_path / "run", "--quick", "--json").last
     _, ours, _ = found["found"]["table-1"]["numbers"][0]
     assert float(ours.removesuffix(" mm")) == pytest.approx(0.97, abs=0.02)
     assert (tmp_path / "run" / "reproduction.md").exists()
-    assert "table-4" in cli("research", "reproduce", "table-9", code=2).err
 
 
 def test_overshoot_and_error_of_a_known_path():
