@@ -26,6 +26,7 @@ from rejoint.system.errors import InputError
 from rejoint.system.files import write_bytes
 from rejoint_lab.cameras import EmulatedCamera, beside, render
 from standin import StandIn
+from waiting import until
 
 ARM = mycobot280()
 SCENE = beside(ARM)
@@ -167,13 +168,6 @@ class FakeCapture:
         self.released = True
 
 
-def wait_for(condition, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.01)
-    assert condition()
-
-
 @pytest.mark.realtime
 def test_a_camera_watches_a_real_arm_until_its_cable_is_pulled(tmp_path, monkeypatch, caplog):
     robot, run = Still(), Run.create(tmp_path, "test:still", ARM)
@@ -183,14 +177,14 @@ def test_a_camera_watches_a_real_arm_until_its_cable_is_pulled(tmp_path, monkeyp
         pass
     write_rig(run.folder.camera, ARM, SCENE, np.full(19, 1e-3))
     with opened_eye("0", robot, run, 0) as eye:
-        wait_for(lambda: eye.sighting(100.0) is not None)
+        until(lambda: eye.sighting(100.0) is not None)
         seen, now = eye.sighting(100.0), time.monotonic()
         assert np.linalg.norm(seen.place - robot.tool()[:3, 3]) < min(1.5e-3, 8 * seen.sigma)
         assert 90.0 < seen.time < 100.0  # on the robot's clock, somewhat earlier
         robot.position = robot.position + 0.05
-        wait_for(lambda: np.linalg.norm(eye.sighting(now).place - robot.tool()[:3, 3]) < 1.5e-3)
+        until(lambda: np.linalg.norm(eye.sighting(now).place - robot.tool()[:3, 3]) < 1.5e-3)
         device.pulled = True
-        wait_for(lambda: "check its cable" in eye.why)
+        until(lambda: "check its cable" in eye.why)
     assert device.released
     assert "camera 0: camera 0 gives no pictures any more; check its cable" in caplog.text
 
@@ -203,7 +197,7 @@ def test_a_camera_that_hangs_is_not_believed(caplog):
     shown = [first]
     stream = SimpleNamespace(picture=lambda: (shown[-1], time.monotonic()))
     with LiveEye(stream, SCENE, name="camera 0") as eye:
-        wait_for(lambda: "same picture for ever" in eye.why)
+        until(lambda: "same picture for ever" in eye.why)
 
         def taken():
             return eye.sighting(100.0).time - 100.0 + time.monotonic()
@@ -212,6 +206,6 @@ def test_a_camera_that_hangs_is_not_believed(caplog):
         time.sleep(0.1)
         assert taken() == pytest.approx(before, abs=0.02)  # it grows old
         shown.append(second)
-        wait_for(lambda: taken() > before + 0.05)
-        wait_for(lambda: "same picture for ever" in eye.why)
+        until(lambda: taken() > before + 0.05)
+        until(lambda: "same picture for ever" in eye.why)
     assert "camera 0: gives the same picture for ever; plug it in again; the arm was driven by" in caplog.text

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import time
 from dataclasses import fields
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from rejoint.control.comparison.compare import Settings
 from rejoint.control.comparison.result import Key, Protocol
 from rejoint.runs.stages import compare as comparing
 from rejoint.runs.stages.compare import ComparisonJob, HelperProcess
+from waiting import until
 
 ARM = mycobot280()
 QUICK = Protocol(dwell=1.0, hold=0.8, window=0.4)
@@ -112,10 +112,7 @@ def test_it_ends_with_the_process_that_started_it_however_that_ends():
         helper = int(process.stdout.readline())
         os.kill(helper, 0)  # it is there
         process.kill()
-    deadline = time.monotonic() + 20.0
-    while time.monotonic() < deadline and alive(helper):
-        time.sleep(0.05)
-    assert not alive(helper)
+    until(lambda: not alive(helper))
 
 
 def alive(pid):

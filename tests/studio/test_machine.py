@@ -20,6 +20,7 @@ from rejoint.session.inputs import keep
 from rejoint.studio import jobs
 from rejoint.studio.machine import Studio
 from rejoint.system.errors import AddressError
+from waiting import until
 
 
 class RealTime(Observer):
@@ -30,13 +31,6 @@ class RealTime(Observer):
 
 
 GO = partial(jobs.go_to, target=np.array([0.17, 0.0, 0.2]))
-
-
-def until(condition, seconds=120.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def do(studio, job, *answers):

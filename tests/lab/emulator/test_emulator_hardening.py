@@ -8,13 +8,14 @@ import tracemalloc
 import numpy as np
 import pytest
 from benchmarks.emulator import GET_ANGLES, descriptors, drop_connections, fuzz
-from reaching import place, until
+from reaching import place
 
 from emulatedservers import serve_tcp
 from rejoint.arms import mycobot280
 from rejoint.robots.mycobot.motion import MAX_QUEUE
 from rejoint.robots.mycobot.wire import Frame, answer, encode, pack_angles
 from rejoint_lab.emulator.firmware import MAX_WRITES
+from waiting import until
 
 pytestmark = pytest.mark.realtime
 

@@ -6,7 +6,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from contextlib import closing
 
 import numpy as np
@@ -15,6 +14,7 @@ from reaching import place
 
 from emulatedservers import serve_pty, serve_tcp
 from rejoint.system.errors import InputError
+from waiting import until
 
 pytestmark = pytest.mark.realtime
 
@@ -48,9 +48,7 @@ def test_time_goes_on_between_requests(server, plant):
     with connect(server) as client:
         client.sendall(bytes.fromhex("FE FE 0F 22 0BB8 0000 DECC FE0C 0000 0000 64 FA"))  # joint 1 to 30 deg
         assert client.recv(1024) == bytes.fromhex("FE FE 03 22 01 FA")
-        deadline = time.monotonic() + 5.0
-        while plant.position[0, 0] < np.radians(29.99) and time.monotonic() < deadline:
-            time.sleep(0.01)  # nobody asks anything
+        until(lambda: plant.position[0, 0] >= np.radians(29.99))  # nobody asks anything
         assert plant.position[0, 0] == pytest.approx(np.radians(30.0), abs=1e-3)
 
 

@@ -4,12 +4,12 @@ import time
 
 import numpy as np
 import pytest
-from reaching import until
 
 from emulatedservers import serve_pty, serve_tcp
 from rejoint.arms import mycobot280, tcp_pose
 from rejoint.robots.mycobot.bus import MyCobot280, MyCobot280Socket
 from rejoint_lab.emulator.firmware import Firmware
+from waiting import until
 
 ARM = mycobot280()
 QUICK = {"state": 0.002, "acknowledgement": 0.001, "pace": 4.0}
