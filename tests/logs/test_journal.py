@@ -3,7 +3,6 @@
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +15,7 @@ from rejoint.logs import journal as module
 from rejoint.logs.journal import CUT_SHORT, Journal, read_journal, recover
 from rejoint.logs.runfolder import RunFolder, locked
 from rejoint.logs.runlog import RunLog
+from waiting import until
 
 pytestmark = pytest.mark.realtime
 
@@ -37,22 +37,18 @@ def written(folder: Path, count: int = len(ROWS)) -> Journal:
     return journal
 
 
+def columns(rows: list[tuple]) -> dict[str, np.ndarray]:
+    names = "time", "position", "command", "target", "true_tcp"
+    return {name: np.stack(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
+
+
 def same(log: RunLog, rows: list[tuple]) -> None:
-    for name, column in zip(
-        ("time", "position", "command", "target", "true_tcp"), zip(*rows, strict=True), strict=True
-    ):
-        np.testing.assert_array_equal(getattr(log, name), np.stack(column))
+    for name, column in columns(rows).items():
+        np.testing.assert_array_equal(getattr(log, name), column)
 
 
-def whole(rows: list[tuple] = ROWS) -> RunLog:
-    columns = dict(zip(("time", "position", "command", "target", "true_tcp"), zip(*rows, strict=True), strict=True))
-    return RunLog(
-        arm="planar",
-        joint_names=JOINTS,
-        robot="tcp://x",
-        label="deploy/policy",
-        **{name: np.stack(column) for name, column in columns.items()},
-    )
+def whole() -> RunLog:
+    return RunLog(arm="planar", joint_names=JOINTS, robot="tcp://x", label="deploy/policy", **columns(ROWS))
 
 
 def test_what_a_killed_process_wrote_becomes_a_log_of_its_own(tmp_path: Path) -> None:
@@ -131,7 +127,7 @@ def test_what_is_written_survives_a_kill(tmp_path: Path) -> None:
     code = f"""
 import sys, time
 from pathlib import Path
-sys.path.insert(0, {str(Path(__file__).parent)!r})
+sys.path[:0] = {sys.path!r}
 from test_journal import ROWS, begin
 journal = begin(Path(sys.argv[1]))
 head = journal.file.stat().st_size
@@ -162,10 +158,7 @@ def test_a_disk_that_fills_meanwhile_neither_ends_the_run_nor_hides_the_error(
 
     monkeypatch.setattr(module.os, "write", full)
     journal.append(*ROWS[0])
-    deadline = time.monotonic() + 30.0
-    while journal.problem is None and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert journal.problem is not None
+    until(lambda: journal.problem is not None)
     for row in ROWS[1:]:
         journal.append(*row)  # raises nothing
     monkeypatch.undo()

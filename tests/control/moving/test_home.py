@@ -22,19 +22,18 @@ def loads(arm, path, home):
     return np.abs(gravity_torque(arm, along(arm, path, home))).max(axis=0)
 
 
-def circles(arm, count):
-    """Circles of 20 mm radius in 6 s, somewhere in the workspace."""
-    rng, places = np.random.default_rng(2), pool_of(arm).place
-    for middle in places[rng.integers(len(places), size=count)]:
-        circle = 0.02 * np.column_stack([np.cos(AROUND), np.sin(AROUND), np.zeros(61)])
-        yield Path(time=np.linspace(0.0, 6.0, 61), place=middle + circle)
+def circle(middle, radius):
+    place = middle + radius * np.column_stack([np.cos(AROUND), np.sin(AROUND), np.zeros(61)])
+    return Path(time=np.linspace(0.0, 6.0, 61), place=place)
 
 
 @pytest.mark.parametrize("name", ["mycobot280", "so101"])
 def test_paths_all_around_the_arm_are_followed_without_a_contact(name):
     arm = load_arm(name)
+    rng, places = np.random.default_rng(2), pool_of(arm).place
     possible, followed, beyond_rest = 0, 0, 0
-    for path in circles(arm, 10):
+    for middle in places[rng.integers(len(places), size=10)]:
+        path = circle(middle, 0.02)
         if any(choose_postures(arm, path.place[::6], arm.rest).refusals):
             continue
         possible += 1
@@ -79,8 +78,7 @@ def test_a_path_that_the_motors_do_not_lift_is_refused_with_the_joint():
 @pytest.mark.parametrize("height", [0.026, 0.04])
 def test_an_accepted_path_keeps_the_clearance_of_targets(height):
     arm = load_arm("mycobot280")
-    circle = 0.03 * np.column_stack([np.cos(AROUND), np.sin(AROUND), np.zeros(61)])
-    path = Path(time=np.linspace(0.0, 6.0, 61), place=np.array([0.16, 0.1, height]) + circle)
+    path = circle([0.16, 0.1, height], 0.03)
     if any(choose_postures(arm, path.place[::6], arm.rest).refusals):
         with pytest.raises(InputError):
             path.home(arm)

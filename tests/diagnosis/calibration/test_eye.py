@@ -50,17 +50,10 @@ class Moved(EmulatedEye):
 def test_a_camera_that_was_moved_is_named(caplog):
     targets = np.array([*TARGETS, [0.16, -0.03, 0.19]])
     found = rejoint.calibrate("emulated:worn?seed=3", count=5).calibration
-    rejoint.deploy(
-        "emulated:worn?seed=3",
-        targets,
-        settings=rejoint.Settings(controller="integrator", calibration=found, eye="emulated"),
-    )
-    assert "camera or board moved" not in caplog.text
-    rejoint.deploy(
-        "emulated:worn?seed=3",
-        targets,
-        settings=rejoint.Settings(controller="integrator", calibration=found, eye=lambda robot: Moved(robot)),
-    )
+    for eye in ("emulated", lambda robot: Moved(robot)):
+        assert "camera or board moved" not in caplog.text
+        settings = rejoint.Settings(controller="integrator", calibration=found, eye=eye)
+        rejoint.deploy("emulated:worn?seed=3", targets, settings=settings)
     said = re.search(r"sees the tool (\S+) mm to one side .* were camera or board moved", caplog.text)
     assert said is not None
     assert 4.0 < float(said[1]) < 7.0

@@ -68,15 +68,21 @@ def test_the_words_of_the_command_line_become_what_they_say():
 # --- what becomes of answers --------------------------------------------------------------------
 
 
+def client_of(firmware, text):
+    """A client in virtual time, and (seconds after the first request, bytes) of all that is sent to it."""
+    client, sent = VirtualClient(firmware, timing=PROMPT, faults=faults(text)), []
+    client.sent = lambda now, data: sent.append((now - START, data))
+    return client, sent
+
+
 @pytest.fixture
 def talk(firmware):
-    """Ask things in virtual time; returns (seconds after the first request, bytes) of all that was sent."""
+    """Ask things; returns what was sent."""
 
     def converse(text, requests, **options):
-        client, sent = VirtualClient(firmware, timing=PROMPT, faults=faults(text)), []
-        client.sent = lambda now, data: sent.append((round(now - START, 4), data))
+        client, sent = client_of(firmware, text)
         client.ask(requests, **options)
-        return sent
+        return [(round(at, 4), data) for at, data in sent]
 
     return converse
 
@@ -132,18 +138,17 @@ def test_a_link_that_stands_still_lets_everything_out_late(talk):
 
 
 def test_a_silent_link_says_nothing_more_and_takes_no_orders(firmware):
-    client, sent = VirtualClient(firmware, timing=PROMPT, faults=faults("silent@1")), []
-    client.sent = lambda now, _data: sent.append(now - START)
+    client, sent = client_of(firmware, "silent@1")
     client.end = START + 30.0
     client.ask([GET_ANGLES] * 10 + [SEND_ANGLES] * 90, pause=0.1)
-    assert 0.8 < sent[-1] < 1.0
+    assert 0.8 < sent[-1][0] < 1.0
     np.testing.assert_allclose(firmware.planned_angles, ARM.rest)
     assert firmware.time == pytest.approx(30.0, abs=0.1)
 
 
 @pytest.mark.parametrize(("text", "error"), [("die@0.5", DeathError), ("gone=0.5/2", LinkGoneError)])
 def test_an_end_comes_at_its_time_even_while_an_answer_is_under_way(firmware, text, error):
-    client = VirtualClient(firmware, timing=PROMPT, faults=faults(f"slow=10,{text}"))
+    client, _ = client_of(firmware, f"slow=10,{text}")
     with pytest.raises(error):
         client.ask([GET_ANGLES])
     assert client.now - START == pytest.approx(0.5, abs=0.02)
@@ -153,8 +158,7 @@ def test_an_end_comes_at_its_time_even_while_an_answer_is_under_way(firmware, te
 
 
 def test_faults_count_from_the_first_byte_of_a_client(firmware):
-    client, sent = VirtualClient(firmware, timing=PROMPT, faults=faults("gone=1/1")), []
-    client.sent = lambda now, _data: sent.append(now - START)
+    client, sent = client_of(firmware, "gone=1/1")
     client.wait(5.0)
     with pytest.raises(LinkGoneError):
         client.ask([GET_ANGLES] * 99, pause=0.1)

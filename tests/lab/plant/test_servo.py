@@ -36,42 +36,38 @@ def commanded(goal, speed_limit):
     return state
 
 
-def slide(torque, steps, inertia=0.02):
-    """Push a mass against friction alone, harder for 0.2 s and then steadily; returns angle [rad] and speed [rad/s]."""
-    records = joint(coulomb=0.1, stiction=0.2, load_friction=0.0, reflected_inertia=inertia)
-    state = fresh()
-    angle = speed = 0.0
-    for step in range(steps):
-        push = torque * min(step / 200, 1.0)
-        speed += (push + servo.friction_torque(records[0], state[0], speed, 0.0)) / inertia * servo.STEP
+def slide(pushes):
+    """Push a mass against friction alone; returns its angles [rad] and speeds [rad/s]."""
+    records = joint(coulomb=0.1, stiction=0.2, load_friction=0.0, reflected_inertia=0.02)
+    state, angle, speed, track = fresh(), 0.0, 0.0, []
+    for push in pushes:
+        speed += (push + servo.friction_torque(records[0], state[0], speed, 0.0)) / 0.02 * servo.STEP
         angle += speed * servo.STEP
-    return angle, speed
+        track.append((angle, speed))
+    return np.transpose(track)
+
+
+STEPS = np.arange(20_000)
+STEADY = np.minimum(STEPS / 200, 1.0)
 
 
 @pytest.mark.parametrize("torque", [0.05, 0.15, 0.19, -0.19])
 def test_below_stiction_nothing_creeps(torque):
-    early, late = slide(torque, 2_000)[0], slide(torque, 20_000)[0]
-    assert abs(late) < ARM.encoder_step
-    assert late == pytest.approx(early, abs=1e-9)
+    angle, _ = slide(torque * STEADY)
+    assert abs(angle[-1]) < ARM.encoder_step
+    assert angle[-1] == pytest.approx(angle[1_999], abs=1e-9)
 
 
 def test_a_stuck_joint_does_not_creep_under_vibration():
-    records = joint(coulomb=0.1, stiction=0.2, load_friction=0.0, reflected_inertia=0.02)
-    state = fresh()
-    rng, speed, angle, track = np.random.default_rng(0), 0.0, 0.0, []
-    for step in range(20_000):
-        push = 0.12 + 0.03 * np.sin(0.3 * step) + 0.01 * rng.standard_normal()
-        speed += (push + servo.friction_torque(records[0], state[0], speed, 0.0)) / 0.02 * servo.STEP
-        angle += speed * servo.STEP
-        track.append(angle)
-    assert abs(np.mean(track[-2_000:]) - np.mean(track[2_000:4_000])) < 1e-5
+    noise = np.random.default_rng(0).standard_normal(len(STEPS))
+    angle, _ = slide(0.12 + 0.03 * np.sin(0.3 * STEPS) + 0.01 * noise)
+    assert abs(np.mean(angle[-2_000:]) - np.mean(angle[2_000:4_000])) < 1e-5
 
 
 def test_above_stiction_it_breaks_loose_and_slides_against_coulomb_friction():
-    angle, speed = slide(0.21, 1_000)
-    assert angle > np.radians(5.0)
-    again = slide(0.21, 1_100)[1]
-    assert (again - speed) / 0.1 == pytest.approx((0.21 - 0.1) / 0.02, rel=1e-6)
+    angle, speed = slide(0.21 * STEADY[:1_100])
+    assert angle[999] > np.radians(5.0)
+    assert (speed[1_099] - speed[999]) / 0.1 == pytest.approx((0.21 - 0.1) / 0.02, rel=1e-6)
 
 
 def test_friction_grows_with_the_transmitted_torque():
