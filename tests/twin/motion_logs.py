@@ -7,7 +7,9 @@ import numpy as np
 from rejoint.arms import so101
 from rejoint.control.servoreference import ServoReference
 from rejoint.logs.runlog import RunLog
+from rejoint.twin.fit import Problem
 from rejoint.twin.parameters import TwinParameters
+from rejoint.twin.replay import Replay
 from rejoint.twin.simulation import ChainBatch, Draw
 from rejoint.twin.table import TableBatch
 
@@ -74,6 +76,12 @@ def record(label, time, command, truth=TRUTH, table=None, acceleration=np.inf, o
     position = np.stack([np.interp(time, clock, column) for column in path.T], axis=1)
     position = np.round(position / ARM.encoder_step) * ARM.encoder_step
     return as_log(label, time, position, command)
+
+
+def problem_of(structure, windows, arm=ARM, **options):
+    """What a ``structure`` is fitted to."""
+    replay = Replay(arm, windows, STEP, acceleration=structure.acceleration)
+    return Problem(replay, structure.prior, structure.frozen, **options)
 
 
 def surface(table, points):

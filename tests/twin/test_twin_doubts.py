@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion_logs import ARM, STEP, TRUTH, as_log, record, wandering
+from motion_logs import ARM, TRUTH, as_log, problem_of, record, wandering
 
 from rejoint.pages.report.tables import answer
-from rejoint.twin.fit import Problem, fit
+from rejoint.twin.fit import fit
 from rejoint.twin.identify import FREEDOM
 from rejoint.twin.judge import Candidate, judge, predict_logs
 from rejoint.twin.parameters import healthy_parameters, pack, unknown_prior, unpack
-from rejoint.twin.replay import Replay, cut
+from rejoint.twin.replay import cut
 from rejoint.twin.structure import Structure
 from rejoint.twin.twin import smaller
 
@@ -76,9 +76,7 @@ def test_a_motion_that_no_twin_follows_counts_less_and_is_named():
     start = np.clip(pack(TRUTH), structure.prior.lower, structure.prior.upper)
     off = []
     for freedom in (FREEDOM, np.inf):
-        replay = Replay(ARM, cut(logs, 5.0), STEP)
-        problem = Problem(replay, structure.prior, structure.frozen, freedom=freedom)
-        found = fit(problem, start, 4)
+        found = fit(problem_of(structure, cut(logs, 5.0), freedom=freedom), start, 4)
         off.append(np.abs(np.log(unpack(found.vector, ARM.joints).coulomb / TRUTH.coulomb)).mean())
     assert off[0] < 0.05 < off[1]
 

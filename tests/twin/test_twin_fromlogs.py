@@ -1,10 +1,11 @@
 """Identification from logs of several motions: known truth, recovered inside its intervals."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from motion_logs import ARM, PERIOD, STEP, TRUTH, centre_of, pressing, record, surface, wandering
+from motion_logs import ARM, PERIOD, TRUTH, centre_of, pressing, problem_of, record, surface, wandering
 
 from rejoint.arms import gravity_torque, tcp_position
 from rejoint.logs.exclusions import UNPOWERED
@@ -89,12 +90,7 @@ def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
     time, moving = wandering(0, 8.0)
     still = [record(f"still{k}", time, np.tile(moving[k : k + 1], (len(time), 1))) for k in (0, 200)]
     for logs, found in ((still, {39.0: 39.0, np.inf: np.inf}), ([record("moving", time, moving)], {39.0: np.inf})):
-        windows = cut(logs, 8.0)
-
-        def problem(structure, windows=windows):
-            shown = Replay(ARM, windows, STEP, acceleration=structure.acceleration)
-            return Problem(shown, structure.prior, structure.frozen)
-
+        problem = partial(problem_of, windows=cut(logs, 8.0))
         for known, expected in found.items():
             simple = Structure(belief=unknown_prior(ARM), acceleration=known)
             truth = replace(TRUTH, delay=TRUTH.delay - (EARLIER if known < np.inf else 0.0))
@@ -104,12 +100,7 @@ def test_what_is_known_of_the_servos_holds_where_the_logs_do_not_tell():
 
 def test_a_slow_acceleration_is_found_although_damping_stands_in_for_it():
     logs = [record(f"slow{k}", *wandering(k, 12.0), acceleration=4.0) for k in range(2)]
-    windows = cut(logs, 8.0)
-
-    def problem(structure):
-        shown = Replay(ARM, windows, STEP, acceleration=structure.acceleration)
-        return Problem(shown, structure.prior, structure.frozen)
-
+    problem = partial(problem_of, windows=cut(logs, 8.0))
     usual = Structure(belief=unknown_prior(ARM), acceleration=39.0)
     found = find_acceleration(problem, usual, rough_fit(problem(usual)))
     assert found.acceleration == pytest.approx(4.0, rel=0.15)

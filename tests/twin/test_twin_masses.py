@@ -1,12 +1,12 @@
 """Masses that are not known: their part in an estimate's covariance is what a fit with other masses would come to."""
 
 import numpy as np
-from motion_logs import ARM, STEP, TRUTH, record, wandering
+from motion_logs import ARM, TRUTH, problem_of, record, wandering
 
-from rejoint.twin.fit import COMMON, Fit, Problem, _central_differences, fit, fixed_covariance, influence, others
+from rejoint.twin.fit import COMMON, Fit, _central_differences, fit, fixed_covariance, influence, others
 from rejoint.twin.fit import STEP as CHANGE
 from rejoint.twin.parameters import Layout, pack, unknown_prior
-from rejoint.twin.replay import Replay, cut
+from rejoint.twin.replay import cut
 from rejoint.twin.structure import Structure
 
 LAYOUT = Layout(ARM.joints)
@@ -14,9 +14,7 @@ LOGS = [record(f"motion{k}", *wandering(k, 10.0)) for k in range(2)]
 
 
 def problem(arm=ARM):
-    structure = Structure(belief=unknown_prior(arm))
-    replay = Replay(arm, cut(LOGS, 8.0), STEP)
-    return Problem(replay, structure.prior, structure.frozen)
+    return problem_of(Structure(belief=unknown_prior(arm)), cut(LOGS, 8.0), arm)
 
 
 def test_the_covariance_of_masses_is_how_far_other_masses_move_a_fit():
