@@ -5,7 +5,6 @@ import re
 import runpy
 import sys
 from contextlib import redirect_stdout
-from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -16,8 +15,8 @@ from modelfiles import packaged
 from rejoint.arms import mycobot280
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run
-from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
+from targetdrive import grow_hot
 
 pytestmark = pytest.mark.usefixtures("few_targets")
 
@@ -145,14 +144,7 @@ def test_follow_goes_along_a_path_and_logs_each_time(finished, tmp_path, cli):
 
 
 def test_what_a_stopped_deployment_recorded_is_kept(finished, cli, monkeypatch):
-    step, steps = EmulatedRobot.step, []
-
-    def hot(self, *arguments):
-        steps.append(arguments)
-        state = step(self, *arguments)
-        return replace(state, temperature=np.full((1, 6), 90.0)) if len(steps) == 20 else state
-
-    monkeypatch.setattr(EmulatedRobot, "step", hot)
+    grow_hot(monkeypatch, at=20)
     words = ("deploy", "emulated:worn", finished.path, "--controller", "integrator")
     path = Path(re.search(r"What was recorded until then: (.+)", cli(*words, code=3).err)[1])
     log = RunLog.load(path)

@@ -18,8 +18,7 @@ from rejoint.session.context import guard_limits
 from rejoint.system.errors import ContractError, GuardTripError, InputError
 from rejoint.training.task import DEFAULT
 from rejoint.training.train import policy_contract
-from rejoint_lab.emulated import EmulatedRobot
-from targetdrive import deploy
+from targetdrive import deploy, grow_hot
 
 ARM = mycobot280()
 NEAR = np.array([[0.17, 0.0, 0.2], [0.18, 0.03, 0.21]])
@@ -56,14 +55,7 @@ def test_a_target_out_of_reach_is_missed_and_says_how_far():
 
 
 def test_what_was_done_before_a_trip_is_told(monkeypatch):
-    step, count = EmulatedRobot.step, []
-
-    def hot(self, *arguments):
-        count.append(1)
-        state = step(self, *arguments)
-        return replace(state, temperature=np.full((1, 6), 90.0)) if len(count) == 300 else state
-
-    monkeypatch.setattr(EmulatedRobot, "step", hot)
+    grow_hot(monkeypatch, at=300)
     plan = job(np.vstack([NEAR, NEAR]))
     with pytest.raises(GuardTripError) as caught:
         deploy(open_robot("emulated:worn"), make_controller("integrator", ARM), plan)
