@@ -36,14 +36,11 @@ def filmed():
     return film_of(22).fit(ARM, date="2026-01-31")
 
 
-def test_a_displacement_comes_back_within_its_interval(filmed):
+def test_the_tool_lies_within_the_interval_of_a_displacement(filmed):
     found = filmed.calibration
     rng = np.random.default_rng(9)
     position = ARM.rest + rng.uniform(-0.3, 0.3, (40, ARM.joints))
     truth = tcp_position(ARM, WORN.joints(ARM, position))
-    off = np.linalg.norm(found.tool(position) - truth, axis=-1)
-    assert np.linalg.norm(tcp_position(ARM, position) - truth, axis=-1).mean() > 6e-3
-    assert off.mean() < 1.2e-3
     _, low, high = found.distance(position, truth)
     assert np.mean(low == 0.0) > 0.9  # the tool may be where it is
     assert (high < 0.01).all()

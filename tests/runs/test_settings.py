@@ -101,25 +101,6 @@ def test_kept_settings_drive_the_arm_and_are_named(run):
         np.testing.assert_array_equal(arm.arm.mass, ARM.mass)
 
 
-def test_a_dry_comparison_moves_nothing():
-    robot, said = rejoint.open_robot("emulated:worn"), list[str]()
-    before = robot.read()
-    target = [[HERE]]
-    found = rejoint.compare(
-        robot,
-        ["default"],
-        target,
-        plan=rejoint.TrialPlan(repetitions=1),
-        settings=rejoint.Settings(dry_run=True),
-        observer=Hears(message=said.append),
-    )
-    assert found.comparison.rows
-    after = robot.read()
-    np.testing.assert_array_equal(after.time, before.time)
-    np.testing.assert_array_equal(after.position, before.position)
-    assert any("nothing moved" in line for line in said)
-
-
 def test_what_an_arm_does_is_recorded_in_motions_and_between(run):
     with rejoint.connect("emulated:worn", run=run) as arm:
         with arm.recording("idle") as idle:
