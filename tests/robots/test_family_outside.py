@@ -17,20 +17,14 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import open_robot
 from rejoint.training import task
-from rejoint.training.task import DEFAULT, PpoSettings, TaskSettings
 from rejoint.twin.parameters import nominal_parameters
 from rejoint_lab.plant.wear import load_wear
+from training.test_train import SMALL
 
 ADDRESS = "swing://one"
 EXAMPLE = Path(__file__).parents[2] / "examples" / "robot_family"
 ARM = mycobot280()
-SMALL = dataclasses.replace(
-    DEFAULT,
-    task=TaskSettings(hold_steps=8),
-    ppo=PpoSettings(
-        rollout=8, agents=16, iterations=2, mini_batches=2, epochs=2, actor_layers=(16,), critic_layers=(16,)
-    ),
-)
+FEW = dataclasses.replace(SMALL, ppo=dataclasses.replace(SMALL.ppo, agents=16, iterations=2))
 
 
 def install(folder):
@@ -91,7 +85,7 @@ def test_it_is_diagnosed_deployed_and_repaired(line, tmp_path, cli, monkeypatch,
     assert max(deployed.last["error_mm"]) < 5.0
     known = dataclasses.replace(nominal_parameters(ARM), stiffness=load_wear("worn", ARM).position_gain)
     made_twin(ARM, known).save(folder.twin)
-    monkeypatch.setitem(task.PRESETS, "default", SMALL)
+    monkeypatch.setitem(task.PRESETS, "default", FEW)
     words = ("--run", folder.path, "--targets", points, "--controllers", "integrator,policy", "--json")
     assert cli("repair", ADDRESS, *words).last["recommended"]["controller"] in ("integrator", "policy")
     assert {row["controller"] for row in json.loads(folder.comparison.read_text())["rows"]} == {"integrator", "policy"}

@@ -8,9 +8,9 @@ import time
 
 import numpy as np
 import pytest
+from test_faults import ARM, TARGETS
 
 from emulatedservers import deploy, serve_pty, serve_tcp
-from rejoint.arms import mycobot280
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
 from rejoint.control.recording import recording_of
@@ -23,9 +23,7 @@ from rejoint_lab.plant.wear import load_wear
 
 pytestmark = pytest.mark.realtime
 
-ARM = mycobot280()
 PERIOD = 0.02
-TARGETS = np.array([[[0.20, 0.05, 0.20], [0.18, -0.05, 0.22]]])
 
 
 @pytest.fixture(autouse=True)
