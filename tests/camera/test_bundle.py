@@ -8,6 +8,7 @@ from camera_scenes import ARM, WORN, film_of, taken
 
 from rejoint.arms import tcp_pose, tcp_position
 from rejoint.camera.board import BoardView
+from rejoint.camera.rig import place
 
 
 @pytest.fixture(scope="module")
@@ -59,16 +60,12 @@ def test_one_picture_tells_where_the_tool_is(found):
     pixel = t.rig.lens.project
     off = []
     for pose, true in zip(t.rig.sight(truth), truth, strict=True):
-        seen = pixel(t.rig.board.corners @ pose[:3, :3].T + pose[:3, 3])
-        off.append(_seen(found, seen) - true[:3, 3])
+        corners = t.rig.board.corners
+        seen = pixel(corners @ pose[:3, :3].T + pose[:3, 3])
+        view = BoardView(name="seen", number=np.arange(len(corners)), pixel=seen)
+        put = found.rig.tool(place(found.rig.lens, found.rig.board, view).pose[None])[0]
+        off.append(put[:3, 3] - true[:3, 3])
     assert np.linalg.norm(off, axis=1).mean() < 0.8e-3
-
-
-def _seen(found, pixel):
-    from rejoint.camera.rig import place
-
-    view = BoardView(name="seen", number=np.arange(len(pixel)), pixel=pixel)
-    return found.rig.tool(place(found.rig.lens, found.rig.board, view).pose[None])[0, :3, 3]
 
 
 def test_swapped_and_crooked_views_are_named_and_left_out():
