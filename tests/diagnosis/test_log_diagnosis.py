@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion_logs import TRUTH, as_log, centre_of, pressing, record
+from motion_logs import TABLE, TRUTH, as_log, centre_of, pressing, record
 from motion_logs import wandering as twin_wandering
 from plant_logs import ARM, HEALTHY, kinds, plain_reference, record_motions, with_joint
 
@@ -19,7 +19,6 @@ from rejoint.logs.columns import ZEROS
 from rejoint.logs.exclusions import Exclusions, find_exclusions
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate
-from rejoint.twin.twin import TablePlane
 
 WEARS = {
     "healthy": HEALTHY,
@@ -31,7 +30,6 @@ WEARS = {
     "limp wrist": with_joint(3, torque_limit=1e-3),
     "half gain": replace(HEALTHY, position_gain=0.5 * HEALTHY.position_gain),
 }
-TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,11 @@ from rejoint.twin.parameters import TwinParameters
 from rejoint.twin.replay import Replay
 from rejoint.twin.simulation import ChainBatch, Draw
 from rejoint.twin.table import TableBatch
+from rejoint.twin.twin import TablePlane
 
 ARM = replace(so101(), servos=())  # its truths are drawn for each joint by itself
 STEP, PERIOD = 0.010, 0.02  # the first as in the fits, so that nothing but the encoders stands between the two
+TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
 TRUTH = TwinParameters(
     stiffness=[20.0, 17.0, 18.0, 15.0, 18.0],
     damping=[1.4, 1.0, 1.1, 0.9, 1.2],

@@ -4,15 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion_logs import ARM, as_log, pressing, record, wandering
+from motion_logs import ARM, TABLE, as_log, pressing, record, wandering
 
 from rejoint.arms import tcp_position
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.exclusions import MARGIN, RECOVERY, find_exclusions, table_height
 from rejoint.twin.replay import cut_windows
-from rejoint.twin.twin import TablePlane
-
-TABLE = TablePlane(height=-0.02, slope_x=0.0, slope_y=0.0, stiffness=2e4, friction=0.2)
 
 
 @pytest.fixture(scope="module")
