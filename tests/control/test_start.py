@@ -95,6 +95,20 @@ def test_a_joint_that_goes_where_it_is_not_sent_is_stopped_at_once(told, start_d
     assert gone < 40.0
 
 
+class Lying(Standing):
+    """Its joint 2 has no torque."""
+
+    def moved(self, command):
+        return np.where(np.arange(6) == 1, self.position, super().moved(command))
+
+
+def test_an_arm_that_lies_where_it_is_not_sent_is_not_driven():
+    robot = Lying(ARM.rest + np.radians(25.0) * np.eye(6)[1])
+    with pytest.raises(NotReadyError, match="joint2 is 25 deg from the rest posture"):
+        begin(robot)
+    begin(Lying(ARM.rest + np.radians(15.0) * np.eye(6)[1]))
+
+
 @pytest.mark.parametrize("wear", ["worn?payload=0.25", "worn?seed=3&payload=0.25", "play-in-loop", "so101"])
 def test_an_arm_may_sag_from_the_place_at_which_it_is_taken_over(wear):
     robot = open_robot(f"emulated:{wear}")

@@ -66,6 +66,15 @@ def test_a_joint_that_rests_elsewhere_in_its_friction_has_not_moved_its_zero(che
     assert judged(checks[0], replace(checks[0], joints=tuple(rows))).moved == ()
 
 
+def test_a_slower_connection_is_no_wear(checks):
+    """At the speed of the sweeps, 0.12 rad/s, 50 ms lie between the directions as 0.012 rad do."""
+    rows = [replace(one, hysteresis_mm=one.hysteresis_mm + 0.012 * one.lever_mm) for one in checks[0].joints]
+    slower = judged(*[checks[0]] * 6, *[replace(checks[0], joints=tuple(rows))] * 3)
+    assert slower.state == "alarm"
+    assert slower.later
+    assert not judged(*[checks[0]] * 6, *[checks[3]] * 3).later
+
+
 @pytest.mark.parametrize("which", range(len(AGED)), ids=AGED)
 def test_wear_is_no_moved_zero_however_fast_it_comes(checks, which):
     found = judged(*[checks[0]] * 6, *[checks[2 + which]] * 3)
