@@ -52,6 +52,13 @@ def test_states_on_another_clock_are_refused(rows: int, said: str, stepping: boo
     assert notes[-1] == f"imported by force, although {log.extra['forced']}"
 
 
+def test_a_weak_servo_that_answers_one_step_slowly_is_in_time():
+    time = 0.01 * np.arange(800)
+    command, position = 0.5 * (time > 2.0), 0.4 * (time - 2.1).clip(0.0, 1.25)
+    one = Sample(time=time, position=np.outer(position, np.eye(5)[1]), command=np.outer(command, np.eye(5)[1]))
+    assert to_log(motion(one), ARM)[1] == []
+
+
 @pytest.mark.skipif(not recorded(), reason=NO_RECORDINGS)
 @pytest.mark.parametrize("name", ["multisine", "circular_motion", "step_response", "single_joint_wrist_pitch"])
 def test_a_real_arm_answers_in_time_and_not_before(name: str):
