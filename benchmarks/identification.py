@@ -27,7 +27,7 @@ from rejoint.twin.fit import SCALES, Problem, fit
 from rejoint.twin.identify import FITTED, LogSettings, identify_logs
 from rejoint.twin.judge import TIMESTEP, Candidate, Errors, judge, predict_logs
 from rejoint.twin.parameters import Layout, TwinParameters, pack, unknown_prior, unpack, vector_names
-from rejoint.twin.replay import Replay, cut_windows, thin
+from rejoint.twin.replay import FOLDS, Replay, cut_windows, thin
 from rejoint.twin.replay import folds as fold_numbers
 from rejoint.twin.structure import OPTIONAL, Structure, rough_fit
 from rejoint.twin.table import twin_spec
@@ -37,9 +37,6 @@ def read_logs(folder: Path, arm: Arm) -> list[RunLog]:
     """Import a folder of SAGE motions."""
     with tempfile.TemporaryDirectory() as place:
         return sorted(import_logs(folder, arm, out=Path(place) / "logs").logs, key=lambda log: log.label)
-
-
-FOLDS = 4
 
 
 def mm_deg(errors: Errors) -> str:
@@ -52,7 +49,7 @@ HEADER = f"{'':28} free mm    deg | contact    deg | all mm    deg"
 
 def folds(arm: Arm, logs: Sequence[RunLog]) -> None:
     """Every motion is held out once."""
-    errors, number = {"free": [], "contact": [], "all": []}, fold_numbers(arm, logs, FOLDS)
+    errors, number = {"free": [], "contact": [], "all": []}, fold_numbers(arm, logs, 0)
     for k in range(FOLDS):
         names = tuple(log.label for log, own in zip(logs, number, strict=True) if own == k)
         start = time.process_time()
