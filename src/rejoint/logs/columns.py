@@ -269,7 +269,7 @@ _ASKED, _OTHER = (
     re.compile(rf"(?i)(^|[._ /])({words})(?=[._ /\[\d]|$)")
     for words in (
         "des(ired)?|ref(erence)?|cmd|command(ed|s)?|goal|target|setpoint",
-        "ff|limit|max|min|enabled?|dot|vel(ocity)?|speed|acc(eleration)?|err(or)?",
+        "ff|limit|max|min|enabled?|dot|vel(ocity)?|speed|acc(eleration)?|err(or)?|output",
     )
 )
 """Words in the titles of what is asked for, and of what is neither position, torque nor current"""
@@ -358,7 +358,10 @@ class _GroupedColumns:
     def __init__(self, motion: RawMotion, arm: Arm, options: ImportOptions) -> None:
         self.motion, self.arm, self.options = motion, arm, options
         self.notes, self.extra = [*motion.notes], {**motion.extra}
-        self.columns = {i: found for i, title in enumerate(motion.titles) if (found := _classified(title, i))}
+        classified = (_classified(title, i) for i, title in enumerate(motion.titles))
+        found = [one for one in classified if one]
+        first = {(one.group, one.name, one.unit): one for one in reversed(found)}  # a message may hold a joint twice
+        self.columns = {one.place: one for one in found if not one.title.startswith(_PATHS) or one in first.values()}
         sent = any(not column.asked for column in self.of("command"))
         self.columns = {i: one for i, one in self.columns.items() if not (sent and one.asked)}
         self.implied = {"time": motion.time_unit, **dict.fromkeys(MOTION, motion.angle_unit)}
@@ -574,7 +577,8 @@ def _classified(title: str, place: int = -1) -> Column | None:
     if _OTHER.search(title):
         return None
     asked, ends = bool(_ASKED.search(title)), (_ASKED.sub("", end).lstrip("._ /") for end in _ends(title))
-    found = next((one for end in ends if (one := _begun(end, place))), None)
+    path = title.startswith(_PATHS)  # of whose parts one is the joint
+    found = next((one for end in ends if (one := _begun(end, place)) and not (path and "." in one.name)), None)
     if found is None or (asked and found.group != "position"):
         return None
     return found._replace(title=title, group="command" if asked else found.group, asked=asked)

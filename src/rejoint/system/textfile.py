@@ -240,7 +240,7 @@ def _parsed(text: str, encoding: str, path: Path, *, whole: bool = True) -> Shee
     counts = [sum(map(bool, _split(lines[i], separator))) for i in chosen[:_LINES]]
     prints = next((k for k, count in enumerate(counts) if count > 1), 0) if max(counts, default=0) > 2 else 0
     titles, second = [*(_split(lines[i], separator) for i in chosen[prints : prints + 2]), [], []][:2]
-    alike = all(_plain(one) == _plain(other) for one, other in zip(titles, second, strict=False) if one and other)
+    alike = all(_plain(one) >= _plain(other) for one, other in zip(titles, second, strict=False) if one and other)
     named = not (alike and any(map(_plain, titles)))  # a row without titles may hold words
     rows = chosen[prints + named :]
     if not named:
