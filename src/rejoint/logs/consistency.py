@@ -125,7 +125,8 @@ def _of_steps(moved: Array, held: Array, step: float, doubted: bool) -> Lag | No
     if len(shares) < (_FEWEST_STEPS if doubted else 1):
         return None
     best = step * (int(np.argmax(np.median(shares, axis=0) > _BEGUN)) - reach)
-    return Lag(best=best, sure=not PLAUSIBLE[0] - step < best < PLAUSIBLE[1] + step)
+    sure = len(shares) >= _FEWEST_STEPS and not PLAUSIBLE[0] - step < best < PLAUSIBLE[1] + step
+    return Lag(best=best, sure=sure)
 
 
 FORCED, BETWEEN = "forced", " | "
@@ -253,11 +254,11 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Ite
         if values is None or np.abs(values).max() <= TWO_TURNS:
             continue
         row, joint = _largest(np.abs(values))
-        gear = max((np.ptp(angles, axis=0) / (arm.upper - arm.lower)).max(), 1.0)
+        gear = max((np.ptp(values, axis=0) / (arm.upper - arm.lower)).max(), 1.0)
         cause = f"degrees, or angles of the motors, before a gear of {gear:.2g} or more"
         raise FileError(
             motion.path,
-            f"{what}, {motion.where(row)}: {motion.columns[joint]} is {values[row, joint]:.4g} rad, "
+            f"{what}, {motion.where(row)}: {arm.joint_names[joint]} is {values[row, joint]:.4g} rad, "
             f"beyond two turns; the values are {cause if unit == 'rad' else 'in another unit'}",
             f"set --angle-unit, correct the column's name, or {GEAR_REMEDY}",
         )
@@ -406,7 +407,7 @@ FAR = 0.1
 """[rad] travel for duplicates and exchanged joints"""
 RELATED = (0.3, 0.9)
 """correlations: unrelated, and related"""
-MUCH_BETTER = (0.95, 5.0)
+MUCH_BETTER = (0.98, 5.0)
 """of exchanged or turned joints: correlation; and how much closer to 1"""
 SAME = 1e-5
 """[rad] rounding of a copied number"""
@@ -433,6 +434,20 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int]) -> Iterator[Rema
     """
     state, command = motion.position, np.asarray(motion.command)
     yield from _check_copies(motion, command)
+    lowest, highest = correlations(motion.time, state, command)
+    far = np.minimum.outer(np.ptp(state, axis=0), np.ptp(command, axis=0)) > FAR / 2
+    on = [joint for joint in range(state.shape[1]) if joint not in off]
+    for joint in on:
+        name, own, best = motion.columns[joint], highest[joint, joint], np.argmax(highest[joint])
+        other = highest[joint, best]
+        better = other > MUCH_BETTER[0] and 1 - own > MUCH_BETTER[1] * (1 - other)
+        # whose own state follows its command as well stays where it is
+        if ((own < RELATED[0] and other > RELATED[1]) or better) and highest[best, best] < other and far[joint, best]:
+            yield (
+                f"the state of {name} follows the command of {motion.columns[best]} (correlation {other:.2f}), not its "
+                f"own ({own:.2f})",
+                "give the true joint order of states and commands",
+            )
     lag = find_lag(motion.time, state, command)
     if lag and not lag.plausible:
         yield (
@@ -443,24 +458,11 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int]) -> Iterator[Rema
         )
         if lag.sure:
             return  # what follows compares the two
-    lowest, highest = correlations(motion.time, state, command)
-    far = np.minimum.outer(np.ptp(state, axis=0), np.ptp(command, axis=0)) > FAR / 2
     late = np.searchsorted(motion.time, motion.time - (lag.best if lag and lag.plausible else 0.0), side="right") - 1
     error = state - command[np.maximum(late, 0)]
     gains = np.std(state, axis=0) / np.maximum(np.std(command, axis=0), 1e-9)
-    for joint, name in enumerate(motion.columns):
-        if joint in off:
-            continue
-        own, best = highest[joint, joint], np.argmax(highest[joint])
-        other = highest[joint, best]
-        better = other > MUCH_BETTER[0] and 1 - own > MUCH_BETTER[1] * (1 - other)
-        # whose own state follows its command as well stays where it is
-        if ((own < RELATED[0] and other > RELATED[1]) or better) and highest[best, best] < other and far[joint, best]:
-            yield (
-                f"the state of {name} follows the command of {motion.columns[best]} (correlation {other:.2f}), not its "
-                f"own ({own:.2f})",
-                "give the true joint order of states and commands",
-            )
+    for joint in on:
+        name, own = motion.columns[joint], highest[joint, joint]
         if own < RELATED[0] and lowest[joint, joint] < -RELATED[1]:
             said = f"state: {name} moves against its command (correlation {lowest[joint, joint]:.2f})"
             remedy = GEAR_REMEDY if lowest[joint, joint] < -MUCH_BETTER[0] else ""
@@ -481,9 +483,7 @@ def check_agreement(motion: RecordedMotion, off: Sequence[int]) -> Iterator[Rema
         if abs(apart) > APART / 2:
             said = f"{name} is {np.rad2deg(apart):.0f} deg from its command (median): a weak servo, or another zero"
             everywhere = abs(apart) > APART and SCATTERED * scattered < abs(apart) and gain > FOLLOWED
-            remedy = (
-                f"check unit, joint order and zero of states and commands; --map JOINT=THEIRS{-apart:+.3g} (in rad)"
-            )
+            remedy = "check unit, joint order and zero of states and commands (--map JOINT=THEIRS+OFFSET)"
             yield said, remedy if everywhere else ""
 
 
