@@ -165,7 +165,7 @@ def history(arm: Sequence[CheckMeasures]) -> list[PastCheck]:
         PastCheck(
             time=BEGIN + timedelta(days=30.4 * month),
             used_h=HOURS * month,
-            measures=replace(one, true_error_mm=None, true_approach_mm=None),
+            measures=replace(one, true_error_mm=None),
         )
         for month, one in zip(DATES[: len(arm)], arm, strict=True)
     ]

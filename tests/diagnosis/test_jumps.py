@@ -33,10 +33,7 @@ def checks():
     off = np.array([MOVED_DEG.get(name, 0.0) for name in ARM.joint_names])
     moved = replace(healthy, offset=healthy.offset - np.radians(off))
     robot = EmulatedRobot(ARM, [healthy, moved, *aged], seed=4)
-    return [
-        replace(measure_check(ARM, log, warm), true_error_mm=None, true_approach_mm=None)
-        for log, warm in record_check(robot)
-    ]
+    return [replace(measure_check(ARM, log, warm), true_error_mm=None) for log, warm in record_check(robot)]
 
 
 def test_zeros_that_were_moved_are_no_wear(checks):

@@ -96,7 +96,6 @@ class HistoryRow:
     repeatability_mm: float | None = None
     approach_mm: float | None = None
     true_error_mm: float | None = None
-    true_approach_mm: float | None = None
     controlled_mm: float | None = None
     """after a repair, see `Outlook.controlled_mm`"""
     tolerance_mm: float | None = None

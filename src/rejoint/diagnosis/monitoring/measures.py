@@ -123,8 +123,6 @@ class CheckMeasures:
     """largest vAP of a pose by encoders"""
     true_error_mm: float | None
     """as `error_mm`, of the tool itself"""
-    true_approach_mm: float | None
-    """as `approach_mm`, of the tool itself"""
     temperature_c: float | None
     """mean of the servos"""
 
@@ -154,14 +152,13 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
     )
     goal = tcp_position(arm, command)
     error, scatter, apart = _tool(goal, tcp_position(arm, position))
-    true_error, _, true_apart = _tool(goal, tool) if np.isfinite(tool).all() else (None, None, None)
+    true_error = _tool(goal, tool)[0] if np.isfinite(tool).all() else None
     return CheckMeasures(
         joints=rows,
         error_mm=error,
         repeatability_mm=scatter,
         approach_mm=apart,
         true_error_mm=true_error,
-        true_approach_mm=true_apart,
         temperature_c=None if temperature is None else float(np.mean(temperature)),
     )
 
