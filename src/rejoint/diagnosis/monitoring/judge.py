@@ -270,8 +270,11 @@ class Outlook:
 
     @property
     def later(self) -> bool:
-        """Whether all joints alike are only later in slow motion: a slower connection, no wear."""
-        return all((one.state in ("drifting", "alarm")) == (one.quantity == "hysteresis") for one in self.changes)
+        """Whether all joints are only later in slow motion: a slower connection, no wear."""
+        return all(
+            one.state == "steady" if one.quantity != "hysteresis" else one.state != "steady" and not one.better
+            for one in self.changes
+        )
 
     @property
     def over(self) -> bool:
@@ -482,12 +485,12 @@ def _error(found: Outlook) -> str:
 
 def _act(found: Outlook, worst: Change, repair: str) -> str:
     whose = f"the servo of {worst.joint}" if worst.joint else "the servos"
-    if found.later:
+    if found.later and not found.over:
         return "look at the connection and the computer (rejoint doctor)"
-    if worst.better:
+    if worst.better or worst.quantity == "sag":
         return (
-            f"if {whose} was changed or greased, or the hand carries less, check with --moved --repeat 5; else play or "
-            f"a weaker motor may do it: {repair}"
+            f"if {whose} was changed or greased, or the hand carries another load, check with --moved --repeat 5; else "
+            f"play or a weaker motor may do it: {repair}"
         )
     if not found.over and found.state != "alarm":
         return "check again within a week; no repair yet"
