@@ -105,9 +105,10 @@ def compiler(_: Surroundings) -> Iterator[Symptom]:
     yield Symptom(f"Numba compiles in {time.monotonic() - began:.1f} s{told}")
 
 
-def disk(_: Surroundings) -> Iterator[Symptom]:
+def disk(case: Surroundings) -> Iterator[Symptom]:
     """Look for space where runs and temporary files go."""
-    for folder in dict.fromkeys((Path.cwd(), Path(tempfile.gettempdir()))):
+    named = [case.run] if case.run is not None and case.run.is_dir() else []
+    for folder in dict.fromkeys((Path.cwd(), Path(tempfile.gettempdir()), *named)):
         free, writable = shutil.disk_usage(folder).free, os.access(folder, os.W_OK)
         fix = "" if free >= ROOM else f"free {(ROOM - free) / 1e6:.0f} MB there, or work in another folder"
         yield Symptom(
