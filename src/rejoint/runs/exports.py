@@ -66,11 +66,11 @@ def export_run(
         path = out or about.path / f"{about.arm.name}.urdf"
         note = (
             f"This unit as calibrated on {found.date} from {found.points} measurements ({found.source}): zeros and "
-            "links are in the joint origins, with the mean effect of play and flex over the region of targets. "
-            "Elsewhere play and flex change sides, and the description may be nearer."
+            "links are in the joint origins, with the mean effect of play and flex in postures loaded as the rest "
+            "posture. In others play and flex change sides, and the description may be nearer."
         )
         write_urdf(path, unit_arm(about.arm, rigid), note)
-        told = "The corrections are in the joint origins. They hold in the region of targets; elsewhere they may harm."
+        told = "The corrections are in the joint origins. They hold in postures loaded as the rest posture; others may be worse."
     else:
         path, told = _controller(about, kind, out, controller)
     return path, f"{told} {quick_note(about)}".rstrip()
