@@ -160,17 +160,17 @@ class Contents:
     def as_found(self) -> MeanErrors:
         """Errors of the uncorrected arm: under its own controller in the comparison, else in the diagnosis."""
         own, comparison = DefaultController.name, self.comparison
+        found = MeanErrors(encoders=None, tool=NOT_KNOWN)
         if comparison is not None and own in comparison.controllers and not comparison.calibration:
             found = _errors(comparison, own)
-            if found.encoders is not None:
-                return found
         open_loop = None if self.diagnosis is None else self.diagnosis.open_loop
         if open_loop is None:
-            return MeanErrors(encoders=None, tool=NOT_KNOWN)
+            return found
         tool, log = open_loop.true_error, self.folder.log("targets")
         if tool.value is None and self.calibration is not None and log.exists():
             tool = modelled_errors(RunLog.load(log), self.calibration)
-        return MeanErrors(encoders=1e-3 * open_loop.error_mm.value, tool=tool)
+        encoders = 1e-3 * open_loop.error_mm.value if found.encoders is None else found.encoders
+        return MeanErrors(encoders=encoders, tool=tool if found.tool.value is None else found.tool)
 
     def next_steps(self) -> dict[str, str]:
         """Commands for a repaired arm by what they are for; none before a comparison on a robot."""
