@@ -23,7 +23,7 @@ from rejoint.diagnosis.segments import (
     resting_postures,
     settled_postures,
 )
-from rejoint.diagnosis.verdict import RULES, Finding, chord, common_lag, find
+from rejoint.diagnosis.verdict import RULES, Finding, chord, find
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.consistency import refuse_copies, remarks_on, require_commands, states_alone
 from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, powered, table_height, unpowered_joints
@@ -76,9 +76,6 @@ CAUSE = 3.0
 AGREE = 1.25
 """Ratio of torque and load not named; chosen"""
 
-LATE = 0.03
-"""[s] common delay that is named; chosen: twice the wait of a serial adapter"""
-
 IN_MOTION = ("low_damping", "lag")
 """Kinds that move no joint from where it rests"""
 
@@ -94,7 +91,7 @@ UNKNOWN = {
 }
 """What motions leave open where a quantity is unknown"""
 
-BEHIND = "Play and flex behind the encoders, and so the true error of the tool, cannot be seen."
+BEHIND = "Encoders see no play and flex behind them, and so not the true error of the tool: measured points would tell."
 BARE = "Stiffness, lag, zeros, overshoot and noise cannot be told without commands."
 LAG_ALONE = (
     "Lag here holds the delay of commands and answers, and damping is part of it: `rejoint diagnose ROBOT` tells them "
@@ -155,7 +152,7 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
             f"{_verdict_of(findings, loop.error_mm, healthy, nothing)}"
         ),
         findings=findings,
-        unseen=(f"{BEHIND} A few measured points of the tool would tell.", FLANK, *_untold(measurement)),
+        unseen=(BEHIND, FLANK, *_untold(measurement)),
         open_loop=loop,
         measurement=measurement,
         healthy=healthy,
@@ -197,10 +194,7 @@ def diagnose_logs(
     if not bare:
         told = _verdict_of(findings, evidence.rest_error_mm, healthy, _nothing(arm, measurement, rest, healthy))
     silent = Counter(joint for log in logs for joint in unpowered_joints(log))
-    doubt, late = data.log.extra.get(ZEROS) or sag_doubt(data), common_lag(measurement, healthy)
-    delayed = (
-        f"All joints follow {1e3 * late:.0f} ms later than those of the healthy arm: commands or answers are delayed."
-    )
+    doubt = data.log.extra.get(ZEROS) or sag_doubt(data)
     return Diagnosis(
         arm=arm.name,
         robot=source,
@@ -217,7 +211,6 @@ def diagnose_logs(
             ),
             *((BARE,) if bare else (*_untold(measurement), LAG_ALONE)),
             *_doubted(measurement),
-            *((delayed,) if late > LATE else ()),
             BEHIND,
             *(f"{remark}." for remark in remarks_on(logs)),
         ),

@@ -108,9 +108,10 @@ def healthy_reference(
     nearest = min(MEASURED, key=lambda one: abs(np.log(typical / one)))
     whole, rows = _laden(_measured(own, nearest), arm), []
     for row, stiffer in zip(whole.joints, (p / nearest * share).tolist(), strict=True):
-        k, width = row.stiffness_nm_per_rad, row.hysteresis_rad
-        k, width = k and scaled(k, stiffer), width and scaled(width, 1.0 / stiffer)
-        rows.append(replace(row, stiffness_nm_per_rad=k, hysteresis_rad=width))
+        k, modelled, width = row.stiffness_nm_per_rad, row.modelled_nm_per_rad, row.hysteresis_rad
+        k, modelled = k and scaled(k, stiffer), modelled and scaled(modelled, stiffer)
+        width = width and scaled(width, 1.0 / stiffer)
+        rows.append(replace(row, stiffness_nm_per_rad=k, modelled_nm_per_rad=modelled, hysteresis_rad=width))
     supply = "" if voltage is None else f"a supply of {np.median(voltage):.1f} V"
     named = f"P = {', '.join(f'{one:g}' for one in dict.fromkeys(p))}"
     setting = " and ".join(filter(None, (whole.setting, named, supply)))

@@ -406,14 +406,16 @@ def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
         data.log.command[rows, joint, None],
         data.log.position[rows, joint, None],
     )
-    error = (command - position)[:, 0] - offset - softness * data.gravity[rows, joint]
+    error, gain = (command - position)[:, 0] - offset, data.gain[rows, joint]
+    error -= softness / gain * data.gravity[rows, joint]
+    beyond = np.maximum(np.abs(error) - width / gain, 0.0)
     nearing = np.sign(error) * velocity(time, position, 4)[:, 0]
     runs = free_runs(nearing < AT_REST, time, SETTLED_LAST)
     left = (joint_speed(time, command) >= AT_REST) | (np.diff(time, prepend=time[:1]) > QUIET)
     runs = [(a, b) for a, b in runs if np.append(left, True)[b]]  # before, the joint may be on its way
     count = max(round((SETTLED_LAST + 2.0 * max(lag, 0.0)) / data.log.period), 1)  # a joint needs its lag to turn round
-    stood = [sliding_window_view(np.abs(error[a:b]), min(count, b - a)).min(axis=-1).max() for a, b in runs]
-    return max(max(stood, default=0.0) - width, 0.0)
+    stood = [sliding_window_view(beyond[a:b], min(count, b - a)).min(axis=-1).max() for a, b in runs]
+    return max(stood, default=0.0)
 
 
 def overshoot(data: ExcitationLog, joint: int) -> Estimate:
@@ -504,17 +506,16 @@ _MIN_RATIO = 5e-5
 """[s^2] least trusted J/k: 22 Hz; chosen"""
 
 
-def arm_delay(data: ExcitationLog, least: float = 0.0) -> float:
-    """Delay [s] of commands and answers, more than ``least`` [s]: lower quartile of the joints."""
-    found, delays = [], least + DELAYS
+def arm_delay(data: ExcitationLog) -> float:
+    """Delay [s] of commands and answers: lower quartile of the joints."""
+    found = []
     for joint in range(data.arm.joints):
-        motion = _motion(data, joint, delays)
+        motion = _motion(data, joint, DELAYS)
         if len(motion.time) >= _MIN_WINDOWS:  # a joint that does not move has no time of its own
             fits = np.asarray(np.linalg.lstsq(motion.design, motion.error.T, rcond=None)[0].T)
-            costs = _onset_costs(data, joint, fits, least)
-            found += [least + _lowest(costs)] if np.isfinite(costs).any() else []
-    delay = np.quantile(found, 0.25) if found else _USUAL_DELAY
-    return arm_delay(data, DELAYS[-1]) if not least and delay >= delays[-1] else delay
+            costs = _onset_costs(data, joint, fits)
+            found += [_lowest(costs)] if np.isfinite(costs).any() else []
+    return np.quantile(found, 0.25) if found else _USUAL_DELAY
 
 
 def _lowest(cost: Array) -> float:
@@ -526,15 +527,15 @@ def _lowest(cost: Array) -> float:
     return DELAYS[i] + (DELAYS[1] - DELAYS[0]) * aside
 
 
-def _onset_costs(data: ExcitationLog, joint: int, fits: Array, least: float) -> Array:
-    """Squared errors (D,) of simulated step beginnings by laws (D, 5), ``least`` [s] after the command."""
+def _onset_costs(data: ExcitationLog, joint: int, fits: Array) -> Array:
+    """Squared errors (D,) of simulated step beginnings by laws (D, 5)."""
     log, steps = data.log, data.of_kind(STEP, joint)
     data.require(len(steps) >= 2, "steps", joint)
     offsets = np.arange(0.0, _ONSET, _STEP)
-    time = np.array([s.start for s in steps])[:, None] + least + offsets  # (S, K)
-    before = np.maximum(np.searchsorted(log.time, time[:, 0] - least) - 1, 0)
+    time = np.array([s.start for s in steps])[:, None] + offsets  # (S, K)
+    before = np.maximum(np.searchsorted(log.time, time[:, 0]) - 1, 0)
     start = log.position[before, joint]
-    sent = data.references[joint].sample(time.ravel(), least + DELAYS).reshape(-1, *time.shape)
+    sent = data.references[joint].sample(time.ravel(), DELAYS).reshape(-1, *time.shape)
     drive = sent - log.command[before, joint][:, None]  # (D, S, K)
     lag, half_width, ratio = np.maximum(fits.T[:3, :, None], np.array([0.0, 0.0, _MIN_RATIO])[:, None, None])
     way, speed = np.zeros(drive.shape[:2]), np.zeros(drive.shape[:2])

@@ -159,7 +159,7 @@ def find(
     """Name everything that is wrong, largest tool error first."""
     position, command = postures
     moved, loads, errors = levers(arm, position), np.abs(gravity_torque(arm, position)), np.abs(command - position)
-    common, bad = common_lag(measurement, healthy), BAD_MM * length_size(arm)
+    common, bad = _common_lag(measurement, healthy), BAD_MM * length_size(arm)
     found = []
     for joint, row in enumerate(measurement.joints):
         case = _Case(
@@ -335,7 +335,7 @@ RULES: dict[str, tuple[str, str, Callable[[_Case], Found]]] = {
 """By kind of finding: judged quantity, what it makes of a joint, and rule"""
 
 
-def common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:
+def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:
     """Return the common delay [s] beyond the reference: bus or firmware, not wear."""
     rows = zip(measurement.joints, (healthy or measurement).joints, strict=True)
     excess = [late.value - usual.value for row, good in rows if (late := row.lag_s) and (usual := good.lag_s)]
