@@ -70,7 +70,7 @@ def export_run(
             "posture. In others play and flex change sides, and the description may be nearer."
         )
         write_urdf(path, unit_arm(about.arm, rigid), note)
-        told = "The corrections are in the joint origins. They hold in postures loaded as the rest posture; others may be worse."
+        told = "The corrections are in the joint origins, for postures loaded as the rest posture; others may be worse."
     else:
         path, told = _controller(about, kind, out, controller)
     return path, f"{told} {quick_note(about)}".rstrip()
