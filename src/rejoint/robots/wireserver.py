@@ -25,8 +25,6 @@ SEND_TIMEOUT = 1.0
 """[s] before a client that takes nothing counts as gone (chosen)"""
 QUIET_AFTER = 5
 """[s] of silence after which a client's machine is asked whether it runs"""
-BACKLOG = 1
-"""Waiting clients, as in the vendor's server"""
 _CHUNK = 1024
 
 
@@ -253,7 +251,7 @@ class TcpServer(Server):
         self._listener.close()  # refuses clients, those in the backlog too
         self._session.outlast_absence()
         if not self._session.stopping:
-            self._listener = listen_tcp(self._host, self._port, BACKLOG)
+            self._listener = listen_tcp(self._host, self._port)
 
     def _close(self) -> None:
         self._listener.close()

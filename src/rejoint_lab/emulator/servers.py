@@ -7,7 +7,6 @@ import numpy as np
 
 from rejoint.robots.mycobot.wire import COMMANDS, FORMAT, Frame, answer, encode
 from rejoint.robots.wireserver import (
-    BACKLOG,
     ByteStream,
     Conversation,
     LinkGoneError,
@@ -165,4 +164,4 @@ class WireSession(EmulatedConversation[Frame]):
 
 def on_port(session: Conversation[Any], host: str = "127.0.0.1", port: int = 0) -> Server:
     """Serve a conversation on a TCP port (0: any free one); InputError."""
-    return TcpServer(session, listen_tcp(host, port, BACKLOG))
+    return TcpServer(session, listen_tcp(host, port))
