@@ -267,8 +267,5 @@ class ServoAddress:
     def read(cls, text: str) -> Self:
         """Read ``SCHEME:///dev/DEVICE`` or ``SCHEME://HOST:PORT``, with options; ValueError."""
         wire, given = read_wire(text, *cls.options, *cls.kind.knobs)
-        return cls(
-            wire=wire,
-            gains=cls.kind.read_gains({name: given[name] for name in cls.kind.knobs if name in given}),
-            **{name: read(given[name]) for name, read in cls.options.items() if name in given},
-        )
+        more = {name: read(given.pop(name)) for name, read in cls.options.items() if name in given}
+        return cls(wire=wire, gains=cls.kind.read_gains(given), **more)
