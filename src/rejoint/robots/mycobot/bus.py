@@ -161,9 +161,10 @@ class MyCobotBus(Bus):
         except NoReplyError:
             self.resynchronise(self.clock.now() + QUIET_RELAY)
             return None
-        values = answer if isinstance(answer, list) else [answer]
-        single = [value for value in values if isinstance(value, int) and 0 <= value < 256]
-        return bytes(single) if len(single) == len(values) else None
+        values: Any = answer if isinstance(answer, list) else [answer]
+        with contextlib.suppress(TypeError, ValueError):  # they are no bytes
+            return bytes(values)
+        return None
 
     def resynchronise(self, deadline: float) -> None:
         """Wait until no late answer is pending; ConnectionLostError.
