@@ -10,7 +10,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from itertools import count, islice
+from itertools import compress, count, islice
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
@@ -95,7 +95,7 @@ class ServoBus(TunedServos, Bus):
 
     def relieve(self, joint: int) -> None:
         """Let a joint's servos hold where they stand."""
-        for servo in np.array(self.ids)[self.joint == joint].tolist():
+        for servo in compress(self.ids, self.joint == joint):
             self.set(servo, "goal", self.get(servo, "position"))
 
     def prepare(self, until: float | None = None) -> None:
@@ -190,8 +190,7 @@ class ServoBus(TunedServos, Bus):
     def ask_all(self, *names: str) -> Counts:
         """Read neighbouring registers of all servos at once, a row (m,) each; TimeoutError names those missing."""
         answers = self.wire.read_all(self.ids, *self.span(names))
-        if len(answers) < len(self.ids):
-            self._require([servo for servo in self.ids if servo not in answers])
+        self._require([servo for servo in self.ids if servo not in answers])
         return self._decoded(names, [answers[servo] for servo in self.ids])
 
     def _decoded(self, names: Sequence[str], blocks: Sequence[bytes]) -> Counts:
@@ -261,8 +260,7 @@ class ServoBus(TunedServos, Bus):
     ) -> None:
         others = f"; others that answer: {listed(strangers)}" if strangers else ""
         if len(missing) == len(self.ids):
-            baud = getattr(self.place, "baud", None)
-            rate = f" at {baud} baud" if baud else ""
+            rate = f" at {self.place.baud} baud" if self.place.baud else ""
             raise NoReplyError(
                 f"{self.place}: no servo answers{rate}; is the arm's supply on, and its bus cable in?{others}"
             )
