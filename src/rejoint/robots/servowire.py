@@ -97,8 +97,7 @@ class ServoWire(ABC):
 
     def _receive(self) -> tuple[list[int], int]:
         """Wait for a status packet; it, and the client's result."""
-        packet, result = self._client.rxPacket(*self._first)
-        return packet, result
+        return self._client.rxPacket(*self._first)
 
     @abstractmethod
     def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:

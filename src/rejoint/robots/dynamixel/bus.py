@@ -75,8 +75,7 @@ class DynamixelWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker'
         judge(self._client.reboot(self, servo)[0], servo)
 
     def _receive(self) -> tuple[list[int], int]:
-        packet, result = self._client.rxPacket(self, False)
-        return packet, result
+        return self._client.rxPacket(self, False)
 
     def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
         return self._client.syncReadTx(self, address, size, list(servos), len(servos), self.fast)
