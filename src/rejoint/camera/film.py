@@ -439,7 +439,7 @@ def _judged(
     off = np.sqrt((problem.weighed(vector)[1] ** 2).mean(axis=1))
     away, turned = np.linalg.norm(problem.misfit(vector).reshape(-1, 2, 3), axis=2).T
     usual, flat = max(1.0, float(np.median(off))), float(np.median([one.rms for one in placed]))
-    residuals, doubts = list[Residual](), dict[str, str]()
+    residuals, doubts = [], {}
     for view, one, far, shift, turn in zip(views, placed, off, away.tolist(), turned.tolist(), strict=True):
         residuals.append(Residual(name=view.name, rms=one.rms, away=shift, turned=turn))
         if one.rms > max(CROOKED * flat, FLAT):

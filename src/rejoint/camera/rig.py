@@ -114,7 +114,7 @@ def place(lens: Lens, board: Board, view: BoardView, near: Array | None = None) 
     starts = list(zip(turns, shifts, strict=True))
     if near is not None:
         starts.append((cv2.Rodrigues(near[:3, :3])[0], near[:3, 3:].copy()))
-    found = list[Placed]()
+    found = []
     for start in starts:
         turn, shift = cv2.solvePnPRefineLM(*seen, *start)
         pose = pose_of(turned(turn[:, 0]), shift[:, 0])

@@ -202,7 +202,7 @@ _TIME_REMEDY = "set the time unit (--time-unit, or the column's name where that 
 
 def clean(motion: RecordedMotion) -> tuple[RecordedMotion, list[Remark]]:
     """Check the clock; returns the motion without doubled stamps, and remarks. FileError."""
-    steps, rows, found = np.diff(motion.time), len(motion), list[Remark]()
+    steps, rows, found = np.diff(motion.time), len(motion), []
     if not (steps >= 0).all():
         late = int(np.argmin(steps >= 0)) + 1
         raise FileError(

@@ -175,7 +175,7 @@ CHECKS = "checks"
 
 def find_rows(folder: Path) -> tuple[list[HistoryRow], tuple[str, ...]]:
     """Summary rows below a folder, oldest first, and unreadable files."""
-    rows, problems = list[HistoryRow](), list[str]()
+    rows, problems = [], []
     for path in _files(folder):
         try:
             rows += read_rows(path)
@@ -186,7 +186,7 @@ def find_rows(folder: Path) -> tuple[list[HistoryRow], tuple[str, ...]]:
 
 def _files(folder: Path) -> list[Path]:
     """Files of summary rows, sorted; links are followed, each folder counts once."""
-    found, seen = [], set[str]()
+    found, seen = [], set()
     for where, below, names in os.walk(folder, followlinks=True):
         real = os.path.realpath(where)
         if real in seen:

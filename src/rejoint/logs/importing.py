@@ -99,7 +99,7 @@ NO_COMMANDS = (
 
 def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = None) -> tuple[RunLog, list[str]]:
     """Check a motion; FileError for a doubt, unless it is imported by force."""
-    options, notes, reasons = options or ImportOptions(), list(motion.notes), list[str]()
+    options, notes, reasons = options or ImportOptions(), list(motion.notes), []
 
     def take(remarks: Iterable[Remark]) -> None:
         for said, remedy in remarks:

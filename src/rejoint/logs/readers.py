@@ -158,7 +158,7 @@ def _archive(file: Path) -> tuple[dict[str, Array], str]:
 
 def _columns(held: Mapping[str, Any]) -> dict[str, Array]:
     """Columns of numbers of the usual length; (T, n) become NAME_0 and so on."""
-    found = dict[str, Array]()
+    found = {}
     for name, one in held.items():
         with suppress(InputError):
             values = as_floats(name, one)
@@ -249,7 +249,7 @@ def _read_frames(source: Path, features: Sequence[str]) -> tuple[dict[str, Array
     files = sorted((source / "data").glob("*/*.parquet"))
     if not files:
         raise FileError(source / "data", "no Parquet file in it", _REMEDY)
-    keys, found, left_out = [*features, *_SCALARS], [], list[str]()
+    keys, found, left_out = [*features, *_SCALARS], [], []
     for file in files:
         try:
             with reading(file, "not the frames of a dataset", _REMEDY):

@@ -82,7 +82,7 @@ class KeptSettings:
 
     def options(self, *only: str) -> list[str]:
         """Return what was given as options of a command, as they are typed; ``only``: of these fields."""
-        found = list[str]()
+        found = []
         for name, value in self.given().items():
             if name in (only or _TYPED):
                 for text in _TYPED[name](value):

@@ -228,7 +228,7 @@ def _hosts(handler: Callable[[int, FrameType | None], object], signum: int, fram
 def _set_handlers() -> dict[int, Handler]:
     if threading.current_thread() is not threading.main_thread():
         return {}
-    before = dict[int, Handler]()
+    before = {}
     for signum in SIGNALS:
         handler = signal.getsignal(signum)
         inner = getattr(handler, "func", handler)
