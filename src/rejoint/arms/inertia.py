@@ -55,7 +55,7 @@ def rigid_body(second: Array) -> tuple[float, Array, Array]:
 
 def cylinder(mass: float, end: Array, radius: float) -> Array:
     """Inertia (3, 3) [kg m^2] of a cylinder from the origin to ``end`` (3,) [m], about its centre."""
-    length = float(np.linalg.norm(end))
+    length = np.linalg.norm(end)
     along = end / length
     axial, lateral = mass * radius**2 / 2, mass * (3 * radius**2 + length**2) / 12
     return lateral * np.eye(3) + (axial - lateral) * np.outer(along, along)
@@ -74,7 +74,7 @@ def inertia_values(inertia: Array) -> Array:
 
 def ball_moment(mass: float, density: float = LINK_DENSITY) -> float:
     """Moment of inertia [kg m^2] of a ball."""
-    return float(0.4 * mass * (3 * mass / (4 * np.pi * density)) ** (2 / 3))
+    return 0.4 * mass * (3 * mass / (4 * np.pi * density)) ** (2 / 3)
 
 
 def usable(inertia: Array) -> bool:
@@ -94,7 +94,7 @@ def plausible(arm: Arm, notes: list[str]) -> Arm:
     """Estimate absent masses and impossible inertias, with a note each; an inertia of NaN is unknown."""
     ends = link_ends(arm)
     lengths = np.linalg.norm(ends, axis=1)
-    reach = float(lengths.sum())
+    reach = lengths.sum()
     if reach == 0.0:
         raise InputError(
             f"the tool lies in the axis of {', '.join(arm.joint_names)}: an arm without reach; give the place of its "
@@ -134,7 +134,7 @@ def plausible(arm: Arm, notes: list[str]) -> Arm:
 def _wrong_inertia(mass: float, inertia: Array, reach: float) -> str:
     if not usable(inertia):
         return "no usable inertia"
-    largest = float(np.linalg.eigvalsh(inertia)[-1])
+    largest = np.linalg.eigvalsh(inertia)[-1]
     if ball_moment(mass, DENSEST) <= largest <= mass * (reach / 2) ** 2:
         return ""
     return f"an inertia of {largest:.2g} kg m^2, which {mass:.3g} kg of metal within the arm's reach cannot have"

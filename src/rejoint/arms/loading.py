@@ -30,7 +30,7 @@ class _FrameTable(Table):
     quaternion: tuple[Number, Number, Number, Number] | None = None
 
     def __post_init__(self) -> None:
-        if self.quaternion is not None and abs((norm := float(np.linalg.norm(self.quaternion))) - 1) > 1e-3:
+        if self.quaternion is not None and abs((norm := np.linalg.norm(self.quaternion)) - 1) > 1e-3:
             raise ValueError(f"expected a unit quaternion w, x, y, z, found one of length {norm:.4g}")
 
     @property

@@ -115,7 +115,7 @@ def read_tree(path: Path, hold: Places | None = None) -> Tree:
             data.qpos[at] = np.clip(data.qpos[at], *model.jnt_range[j])
         if kind == "hinge" and joint in coupled:
             kind = "coupled"
-        joints.append(Joint(j, joint, kind, int(model.jnt_bodyid[j]), coupled.get(joint, "")))
+        joints.append(Joint(j, joint, kind, model.jnt_bodyid[j], coupled.get(joint, "")))
     for joint, position in (hold or {}).items():
         j = _index(joint, "joint", [one.name for one in joints])
         data.qpos[model.jnt_qposadr[j]], told = _held(model, j, joint, position)
@@ -188,7 +188,7 @@ def _repair(spec: Any, notes: list[str], urdf: bool) -> None:  # noqa: ANN401
             notes.append(f"joint {joint.name}: its lower limit is above the upper one; they are exchanged")
             joint.range, joint.limited = joint.range[::-1].copy(), True
     for body in spec.bodies:
-        full, mass, com = np.array(body.fullinertia), float(body.mass), np.array(body.ipos)
+        full, mass, com = np.array(body.fullinertia), body.mass, np.array(body.ipos)
         inertia = inertia_matrix(full) if np.isfinite(full[0]) else np.diag(body.inertia)
         possible = mass >= 0.0 and np.isfinite([mass, *com]).all()
         sound = possible and mass > 0.0 and usable(inertia) and np.linalg.eigvalsh(inertia)[0] >= LEAST_MOMENT
@@ -359,7 +359,7 @@ def _links(model: Any, data: Any, carriers: list[int], seen: Array) -> list[tupl
     owner = {body: i for i, body in enumerate(carriers)}  # of several joints of a body the last carries it
     whole, poses = np.zeros((len(seen), 4, 4)), pose_of(data.ximat.reshape(-1, 3, 3), data.xipos)
     for body in range(1, model.nbody):
-        link = owner.get(body, owner.get(int(model.body_parentid[body])))
+        link = owner.get(body, owner.get(model.body_parentid[body]))
         if link is None:
             continue
         owner[body] = link

@@ -232,7 +232,7 @@ class _Field:
 
     def _time(self, way: Array) -> float:
         """[s] at full speed along the way (k, n)."""
-        return float((np.abs(np.diff(way, axis=0)) / self.arm.max_speed).max(axis=-1).sum())
+        return (np.abs(np.diff(way, axis=0)) / self.arm.max_speed).max(axis=-1).sum()
 
 
 def _torques(arm: Arm, ways: Array, parts: int) -> tuple[Array, Mask]:

@@ -32,7 +32,7 @@ from rejoint.system.shell import Late
 
 redundancy = Late("rejoint.arms.redundancy")
 
-MARGIN = float(np.radians(0.5))
+MARGIN = np.radians(0.5)
 """[rad] inside the joint limits, as the guard's"""
 CLEARANCE, APART, SPACIOUS = 0.010, 0.016, 0.015
 """[m] least clearance to the ground and to boxes, and between links (chosen: worn arms keep 5 mm); sufficient clearance
@@ -60,7 +60,7 @@ SURE = 0.95
 _STEPS, _TRIED = (0.0, *0.5 ** np.arange(1, 10)), 4
 _RANKS = np.unique(np.geomspace(1, POOL, 24, dtype=int)) - 1
 """of stored postures from which that place is sought: near ones, and others"""
-NEAR, TURNED = 1e-3, float(np.radians(0.5))
+NEAR, TURNED = 1e-3, np.radians(0.5)
 """[m], [rad] largest misses of a reachable pose (chosen)"""
 
 
@@ -185,7 +185,7 @@ def missed_pose(arm: Arm, posture: Array, target: Array, turn: Orientation) -> t
 def comfortable_postures(arm: Arm) -> Array:
     """Postures (P, n) [rad] over the workspace, away from limits and contacts."""
     pool = pool_of(arm)
-    return frozen(pool.posture[pool.bare <= max(COMFORTABLE, float(np.median(pool.bare)))])
+    return frozen(pool.posture[pool.bare <= max(COMFORTABLE, np.median(pool.bare))])
 
 
 def _choose(arm: Arm, load: Array, goal: Array, start: Array, near: bool) -> Array | None:
@@ -198,7 +198,7 @@ def _choose(arm: Arm, load: Array, goal: Array, start: Array, near: bool) -> Arr
     other, found = _search(arm, load, goal, start, EFFORT)
     if min(cost, other) >= redundancy.FAR:
         return None
-    return stayed if cost <= other + float(near) else found
+    return stayed if cost <= other + near else found
 
 
 def _search(arm: Arm, load: Array, goal: Array, start: Array, effort: Effort) -> tuple[float, Array]:
@@ -285,9 +285,9 @@ def _nearby(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[float, Ar
             away = float(np.linalg.norm(trial[:3] - goal[:3]))
             if away < best[0]:
                 found = _choose(arm, load, trial, start, False)
-                if found is None and step == 0.0:
-                    break
                 if found is None:
+                    if step == 0.0:
+                        break
                     continue
                 best = away, found, trial[:3]
             share += step

@@ -127,7 +127,7 @@ def tool_axis(arm: Arm) -> Array:
     """Tool axis (3,) in the tool frame."""
     tip = bare(arm).tip
     off = tip[:3, :3].T @ tip[:3, 3]
-    largest = int(np.argmax(np.abs(off))) if np.linalg.norm(off) >= 1e-9 else 2
+    largest = np.argmax(np.abs(off)) if np.linalg.norm(off) >= 1e-9 else 2
     return np.eye(3)[largest] * (-1.0 if off[largest] < -1e-9 else 1.0)
 
 

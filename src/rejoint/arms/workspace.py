@@ -117,8 +117,8 @@ def _survey(arm: Arm) -> _Survey:
     low, high = np.maximum(arm.lower, -np.pi), np.minimum(arm.upper, np.pi)
     low, high = np.where(low < high, low, arm.lower), np.where(low < high, high, arm.upper)
     postures = np.random.default_rng(0).uniform(low, high, (SAMPLES, arm.joints))
-    torque = float(np.abs(gravity_torque(arm, postures)).max())
-    return _Survey(arm, reach(arm), low, high, postures, float(_manipulability(arm, postures).max()), torque)
+    torque = np.abs(gravity_torque(arm, postures)).max()
+    return _Survey(arm, reach(arm), low, high, postures, _manipulability(arm, postures).max(), torque)
 
 
 def _manipulability(arm: Arm, q: Array) -> Array:
@@ -188,7 +188,7 @@ def _largest_box(survey: _Survey, rest: Array) -> Box | None:
             if (np.ptp(bigger, axis=0) <= STEPS).all() and good[inside].all():
                 span = bigger
         spans.append(span)
-    span = max(spans, key=lambda one: int(np.ptp(one, axis=0).prod()))
+    span = max(spans, key=lambda one: np.ptp(one, axis=0).prod())
     lower, upper = centre + (span - STEPS) * step
     for _ in range(10):
         lower, upper = np.ceil(lower * 1e3) / 1e3, np.floor(upper * 1e3) / 1e3
@@ -255,14 +255,14 @@ LEVEL = 0.02
 
 def least_load(arm: Arm) -> float:
     """Torque [N m] that an arm's motors carry at least, also of one that gravity does not load."""
-    return LEVEL * float(arm.mass.sum() * np.linalg.norm(GRAVITY)) * reach(arm)
+    return LEVEL * arm.mass.sum() * np.linalg.norm(GRAVITY) * reach(arm)
 
 
 @lru_cache
 def torque_size(arm: Arm) -> float:
     """Largest load, or half of that anywhere, over that of a myCobot 280."""
     most = max(heaviest_load(arm).max(), 0.5 * largest_loads(arm).max(), least_load(arm))
-    return float(most / heaviest_load(mycobot280()).max())
+    return most / heaviest_load(mycobot280()).max()
 
 
 @lru_cache
@@ -382,7 +382,7 @@ def derive_workspace(arm: Arm) -> tuple[Array, Box]:
                 return rest, box
             why = why or unsafe(trial, rest) or "most postures around it are not safe"
             if min(share, spread) >= _LEAST:
-                found.append((share * spread * float(edges.prod()), rest, box))
+                found.append((share * spread * edges.prod(), rest, box))
     if found:
         return max(found, key=lambda one: one[0])[1:]
     lack = f"has room for an excitation (of the best one: {why})" if why else "has a region of reachable targets"

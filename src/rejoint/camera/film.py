@@ -248,13 +248,13 @@ def first_lens(size: tuple[int, int], board: Board, views: Sequence[BoardView]) 
     usual, few = Lens.usual(*size), len(views) < FEWEST
     flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO | cv2.CALIB_FIX_K3
     flags |= few * (cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2)
-    shown = list(views)
+    shown = views
     for _ in range(_ROUNDS):
         corners = [board.corners[view.number].astype(np.float32) for view in shown]
         pixels = [view.pixel.astype(np.float32) for view in shown]
         found = cv2.calibrateCameraExtended(corners, pixels, size, usual.matrix, np.zeros(5), flags=flags)
         matrix, bent, rms = found[1], found[2], found[7][:, 0]
-        good = rms <= max(CROOKED * float(np.median(rms)), FLAT)
+        good = rms <= max(CROOKED * np.median(rms), FLAT)
         if good.all():
             break
         shown = [view for view, fits in zip(shown, good, strict=True) if fits]
@@ -399,7 +399,7 @@ def bow(rig: Rig, views: Sequence[BoardView], sights: Array) -> tuple[float, flo
     every = np.concatenate(rows)
     fit = fit_clustered(every[:, :-1], every[:, -1], np.array(cluster))
     heights, shapes = surface @ fit.coefficients[len(TERMS) :], slice(len(TERMS), None)
-    ends = surface[int(np.argmax(heights))] - surface[int(np.argmin(heights))]
+    ends = surface[np.argmax(heights)] - surface[np.argmin(heights)]
     return float(np.ptp(heights)), float(np.sqrt(ends @ fit.covariance[shapes, shapes] @ ends))
 
 
@@ -438,7 +438,7 @@ def _judged(
     problem = replace(problem, seen=rig.carried_in(np.array([one.pose for one in placed])))
     off = np.sqrt((problem.weighed(vector)[1] ** 2).mean(axis=1))
     away, turned = np.linalg.norm(problem.misfit(vector).reshape(-1, 2, 3), axis=2).T
-    usual, flat = max(1.0, float(np.median(off))), float(np.median([one.rms for one in placed]))
+    usual, flat = max(1.0, np.median(off)), np.median([one.rms for one in placed])
     residuals, doubts = [], {}
     for view, one, far, shift, turn in zip(views, placed, off, away.tolist(), turned.tolist(), strict=True):
         residuals.append(Residual(name=view.name, rms=one.rms, away=shift, turned=turn))

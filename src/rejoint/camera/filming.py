@@ -82,7 +82,7 @@ def scouting_postures(arm: Arm, carried: str) -> Array:
     chosen = [arm.rest]
     while len(chosen) < SCOUTS:
         apart = np.linalg.norm(drawn[:, None] - np.array(chosen), axis=-1).min(axis=1)
-        chosen.append(drawn[int(np.argmax(apart))])
+        chosen.append(drawn[np.argmax(apart)])
     return np.array(chosen)
 
 

@@ -127,7 +127,7 @@ def place(lens: Lens, board: Board, view: BoardView, near: Array | None = None) 
     if near is None:
         return best
     fitting = [one for one in found if one.rms <= max(best.rms, FLAT)]
-    return min(fitting, key=lambda one: float(np.linalg.norm(rotation_error(one.pose[:3, :3], near[:3, :3]))))
+    return min(fitting, key=lambda one: np.linalg.norm(rotation_error(one.pose[:3, :3], near[:3, :3])))
 
 
 _STEP = 1e-6  # [m] and [rad] of numerical derivatives

@@ -347,7 +347,7 @@ def unwrapped(motion: RecordedMotion, arm: Arm) -> tuple[RecordedMotion, list[Re
 def _within(arm: Arm, position: Array) -> Array:
     """Share (n,) of positions (T, n) [rad] within the limits, with their margin."""
     inside = (position > arm.lower - LIMIT_MARGIN) & (position < arm.upper + LIMIT_MARGIN)
-    return np.asarray(inside.mean(axis=0))
+    return inside.mean(axis=0)
 
 
 def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
@@ -399,7 +399,7 @@ def _check_motion(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
 
 
 def _largest(size: Array) -> tuple[int, int]:
-    row, joint = np.unravel_index(int(np.argmax(size)), size.shape)
+    row, joint = np.unravel_index(np.argmax(size), size.shape)
     return int(row), int(joint)
 
 

@@ -213,9 +213,9 @@ class BusRobot:
         if active is not None and not active[0]:
             return last
         period = self._rng.uniform(*self._period)
-        due = max(float(last.time[0]), self._clock.now() - period / 2) + period  # even a late command gets half of it
+        due = max(last.time[0], self._clock.now() - period / 2) + period  # even a late command gets half of it
         goal = self._command = command[0].copy()
-        self._left = float(last.time[0]), last.position, command.copy()
+        self._left = last.time[0], last.position, command.copy()
         began = self._clock.now()
 
         def send() -> None:

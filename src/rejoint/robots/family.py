@@ -141,7 +141,7 @@ def read_wire(text: str, *options: str) -> tuple[Wire, dict[str, str]]:
     """Read an address as `wire_address` does, and its other ``options``; ValueError."""
     parts, known = urlsplit(text), ("baud", *options)
     found = parse_qs(parts.query, strict_parsing=True, keep_blank_values=True) if parts.query else {}
-    if set(found) - set(known) or any(len(values) > 1 or not values[0] for values in found.values()):
+    if found.keys() - known or any(len(values) > 1 or not values[0] for values in found.values()):
         raise ValueError(f"expected each of {', '.join(known)} once at most, got {parts.query!r}")
     given = {name: values[0] for name, values in found.items()}
     alone = parts.path in ("", "/") and not parts.username and parts.port != 0

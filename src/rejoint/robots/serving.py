@@ -140,7 +140,7 @@ class ServedArm(Computer, Reference):
 
     def _observe(self, state: JointState) -> None:
         before, self._state, self._seen = self._state, state, time.monotonic()
-        elapsed = float(state.time[0] - before.time[0])
+        elapsed = state.time[0] - before.time[0]
         if elapsed > 0.0:
             self._speed += _SMOOTHING * ((state.position[0] - before.position[0]) / elapsed - self._speed)
             self.motion.advance(min(elapsed, LONGEST))
@@ -150,13 +150,13 @@ class ServedArm(Computer, Reference):
         if not self._arrived[0]:
             self._since, self._settled, self._calm_since = np.inf, False, np.inf
             return
-        now, position = float(self._state.time[0]), self._state.position[0]
+        now, position = self._state.time[0], self._state.position[0]
         self._since = min(self._since, now)
         if self._settled:
             return
         posture, after = self._goal[0], now - self._since
         error = float(np.linalg.norm(tcp_position(self.arm, posture) - tcp_position(self.arm, position)))
-        away = float(np.abs(posture - position).max())
+        away = np.abs(posture - position).max()
         if self._stopped:
             calm, lasts = bool((np.abs(self._speed) < MOVING).all()), STANDS
         else:

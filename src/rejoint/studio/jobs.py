@@ -43,7 +43,7 @@ LEAST = 1.0
 """[mm] at the tool that is worth a word at a joint (chosen)"""
 EARLY = 0.05
 """Share of a job from which its pace tells when it ends (chosen)"""
-NUDGE = float(np.radians(5.0))
+NUDGE = np.radians(5.0)
 """[rad] of the motion that the owner confirms (chosen)"""
 EMULATED = {"Emulated myCobot 280, worn": "emulated:worn", "Emulated SO-101, worn": "emulated:so101"}
 

@@ -375,7 +375,7 @@ def places(page: StudioPage, status: Status) -> None:
     """Type a point."""
     targets = (status.arm or load_arm(DEFAULT_ARM)).targets
     for name, usual in zip("xyz", 500.0 * (targets.lower + targets.upper), strict=True):
-        page.field(f"{name} mm", name, round(float(usual)))
+        page.field(f"{name} mm", name, round(usual))
 
 
 def use(page: StudioPage, status: Status) -> None:

@@ -187,7 +187,7 @@ def read_columns(
             )
         found[name] = sheet.words(index) if meanings[name] is None else units[unit] * sheet.numbers([index])[:, 0]
         if name in filled and np.isnan(found[name]).any():
-            line = sheet.lines[int(np.argmax(np.isnan(found[name])))]
+            line = sheet.lines[np.argmax(np.isnan(found[name]))]
             raise FileError(path, f"line {line}, column {title} is empty", "mend that line")
     if missing := [titled[name] for name in needed if name not in found]:
         raise FileError(path, f"columns {shown(sheet.titles)}; missing: {', '.join(missing)}", "add them")

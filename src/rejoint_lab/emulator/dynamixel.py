@@ -246,7 +246,7 @@ class XArm(ServoArm[XServo]):
                 servo.wrap(0)
                 if joint < self.arm.joints and fitting.mode == POSITION:
                     span = self.arm.lower[joint], self.arm.upper[joint]
-                    low, high = sorted(servo.position(round(float(end) / self.arm.encoder_step)) for end in span)
+                    low, high = sorted(servo.position(round(end / self.arm.encoder_step)) for end in span)
                     servo["Min_Position_Limit"], servo["Max_Position_Limit"] = max(low, 0), min(high, COUNTS - 1)
                 servo.save()
                 servo["Torque_Enable"] = 1
@@ -313,7 +313,7 @@ class XArm(ServoArm[XServo]):
         status, sign, threshold = servo.status, servo.sign, servo["Moving_Threshold"]
         moving = bool(status["moving"])
         speed, unit = round(sign * status["speed"] / xseries.VELOCITY_UNIT), NEW[servo.model].get("current_unit")
-        load = self._current(servo) / unit if unit else 1000.0 * float(status["output"]) / xseries.FULL  # or [0.1 %]
+        load = self._current(servo) / unit if unit else 1000.0 * status["output"] / xseries.FULL  # or [0.1 %]
         arrived = bool(abs(status["goal"] - status["position"]) <= threshold)
         servo.update(
             {
@@ -321,9 +321,9 @@ class XArm(ServoArm[XServo]):
                 "Present_Velocity": speed,
                 "Present_PWM": round(sign * status["output"]),
                 "Present_Current": round(sign * load),
-                "Present_Input_Voltage": round(float(servo.setting["voltage"]) * 10),
+                "Present_Input_Voltage": round(servo.setting["voltage"] * 10),
                 "Present_Temperature": self._heat(servo),
-                "Position_Trajectory": servo.position(round(float(status["reference"]))),
+                "Position_Trajectory": servo.position(round(status["reference"])),
                 "Velocity_Trajectory": round(sign * status["rate"] / xseries.VELOCITY_UNIT),
                 "Realtime_Tick": int(self.clock * 1e3) % 32768,
                 "Hardware_Error_Status": self.alarms_of(servo),

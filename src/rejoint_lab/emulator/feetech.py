@@ -150,7 +150,7 @@ class StsArm(ServoArm[Servo]):
         acceleration = servo["Acceleration"] or servo["Maximum_Acceleration"] * servo["Acceleration_Multiplier"]
         setting["least"], setting["most"] = low + shift, high + shift
         setting["acceleration"] = 100.0 * max(acceleration, 1)
-        setting["speed"] = float(abs(servo["Goal_Velocity"]) or 50 * servo["Maximum_Velocity_Limit"])
+        setting["speed"] = abs(servo["Goal_Velocity"]) or 50 * servo["Maximum_Velocity_Limit"]
 
     def measure(self, servo: Servo) -> None:
         """Write a servo's measurements to its registers."""
@@ -160,7 +160,7 @@ class StsArm(ServoArm[Servo]):
                 "Present_Position": (self.count(servo) - shift) % COUNTS,
                 "Present_Velocity": np.clip(status["speed"], -32767, 32767),
                 "Present_Load": np.clip(status["output"], -1023, 1023),
-                "Present_Voltage": round(float(setting["voltage"]) * 10),
+                "Present_Voltage": round(setting["voltage"] * 10),
                 "Present_Temperature": self._heat(servo),
                 "Status": self.alarms_of(servo),
                 "Moving": status["moving"],

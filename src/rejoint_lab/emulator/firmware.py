@@ -54,7 +54,7 @@ class Firmware(EmulatedArm, Computer):
     @property
     def moving(self) -> bool:
         """Whether the reference or a joint moves."""
-        return (self.motion.moving and not self.motion.paused) or bool((np.abs(self.plant.speed) > _AT_REST).any())
+        return (self.motion.moving and not self.motion.paused) or (np.abs(self.plant.speed) > _AT_REST).any()
 
     @property
     def sensed(self) -> Sensed:
@@ -106,10 +106,10 @@ class Firmware(EmulatedArm, Computer):
 
     def calibrate(self, joint: int) -> None:
         """Set a joint's zero here."""
-        shift = float(self.angles[joint])
+        shift = self.angles[joint]
         self.zero[joint] += shift
         self.motion.hold()
-        self.motion.place(joint, float(self.motion.reference[joint]) - shift)
+        self.motion.place(joint, self.motion.reference[joint] - shift)
 
     # --- time -------------------------------------------------------------------------------
 

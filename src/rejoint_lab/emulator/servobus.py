@@ -193,7 +193,7 @@ class ServoArm(EmulatedArm, Generic[S]):
         self.servos = []
         plants = self.plant, self.gripper
         self._fit([record for plant in plants for record in zip(plant.settings[0], plant.status[0], strict=True)])
-        self._nominal = [float(servo.setting["voltage"]) for servo in self.servos]
+        self._nominal = [servo.setting["voltage"] for servo in self.servos]
 
     @abstractmethod
     def _fit(self, records: list[tuple[Any, Any]]) -> None:
@@ -205,7 +205,7 @@ class ServoArm(EmulatedArm, Generic[S]):
         steps = int(self._owed / STEP)
         self._owed -= steps * STEP
         self.clock += steps * STEP
-        drop = size_of(self.faults, "sag") * sum(abs(float(servo.status["current"])) for servo in self.servos)
+        drop = size_of(self.faults, "sag") * sum(abs(servo.status["current"]) for servo in self.servos)
         supply, warmth = self.voltage, self.temperature - self.plant.temperature[0]
         for servo, nominal in zip(self.servos, self._nominal, strict=True):
             volts = max(self._of_joint(servo, supply, SUPPLY_VOLTAGE) - drop, 0.0)
@@ -255,7 +255,7 @@ class ServoArm(EmulatedArm, Generic[S]):
     def count(self, servo: S) -> int:
         """Count of a servo from its joint's zero, as its encoder tells it."""
         if servo.joint < self.arm.joints:
-            return round(float(self.angles[servo.joint]) / self.arm.encoder_step)
+            return round(self.angles[servo.joint] / self.arm.encoder_step)
         return int(self.gripper.status["position"].flat[0])
 
     def _heat(self, servo: S) -> float:
@@ -263,8 +263,8 @@ class ServoArm(EmulatedArm, Generic[S]):
 
     def _current(self, servo: S) -> float:
         """Present current [A]."""
-        current = float(servo.status["current"])
-        return float(np.copysign(max(abs(current), self._of_joint(servo, self.least_current, 0.0)), current))
+        current = servo.status["current"]
+        return np.copysign(max(abs(current), self._of_joint(servo, self.least_current, 0.0)), current)
 
     def _of_joint(self, servo: S, values: Any, gripper: Any) -> Any:  # noqa: ANN401
         """Of values (n,) that of a servo's joint, or the ``gripper``'s."""

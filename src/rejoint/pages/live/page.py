@@ -267,7 +267,7 @@ class WebPage:
             joints = write.joints(arm.joint_names, now, seen.temperature, HOT)
         actions = dict[str, str]()  # of the guard, each with the joint whose command it changed most
         for one in self._recent:
-            joint = arm.joint_names[int(np.argmax(np.abs(one.wanted - one.cycle.command)))]
+            joint = arm.joint_names[np.argmax(np.abs(one.wanted - one.cycle.command))]
             actions |= dict.fromkeys(reason_names(int(one.cycle.reasons)), joint)
         guarded = write.guard(actions, MEANINGS, doing.stopped)
         colours = [f"rgb{colour}" for colour in (LINKS[1], GHOST, TRAIL, TARGET, TRUE)]
@@ -309,7 +309,7 @@ class Trail:
         """Add a ``point`` (3,) [m]; after a jump the trail starts again."""
         if not np.isfinite(point).all():
             return
-        way = np.inf if not self.points else float(np.linalg.norm(point - self.points[-1]))
+        way = np.inf if not self.points else np.linalg.norm(point - self.points[-1])
         if way > 25.0 * APART:
             self.points.clear()
         if way > APART:

@@ -222,7 +222,7 @@ class Gallery:
         seen, tool = tcp_position(found.arm, measured.position)[whole], tool[whole]
         off = np.linalg.norm(tool - seen, axis=1)
         scale = max(1, int(LONGEST_ARROW * np.ptp(seen, axis=0).max() / off.max()))
-        low, high = (number(MM * float(end), 2) for end in (off.min(), off.max()))
+        low, high = (number(MM * end, 2) for end in (off.min(), off.max()))
         return self.show(
             "tool-places",
             arrows(seen, scale * (tool - seen), wrong),

@@ -291,7 +291,7 @@ def target_errors(comparison: Comparison, controller: str) -> TargetErrors:
 
 def tilt(found: Calibration) -> float:
     """[deg] tilt of the base."""
-    return float(np.degrees(np.arccos(np.clip(found.displacement.gravity @ GRAVITY / (GRAVITY @ GRAVITY), -1.0, 1.0))))
+    return np.degrees(np.arccos(np.clip(found.displacement.gravity @ GRAVITY / (GRAVITY @ GRAVITY), -1.0, 1.0)))
 
 
 _CALLED: list[Any] = [target_errors, tilt, above_zero, colour_number, cost, in_base, own_policy, reach]

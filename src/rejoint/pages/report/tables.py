@@ -11,7 +11,7 @@ from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, interval, listed, meas
 from rejoint.system.statistics import NORMAL95, Estimate, Spread, bootstrap_mean
 from rejoint.twin.twin import NO_TWIN, Judgement, smaller
 
-DEG = float(np.degrees(1.0))
+DEG = np.degrees(1.0)
 
 
 ResultColumns = dict[str, Callable[[ControllerRow], Cell]]

@@ -48,7 +48,7 @@ class TimedPath(NamedTuple):
     @property
     def duration(self) -> float:
         """[s] at full speed."""
-        return float(self.time[-1])
+        return self.time[-1]
 
 
 def joint_path(start: Array, goal: Array) -> TimedPath:

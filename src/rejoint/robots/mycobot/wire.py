@@ -117,9 +117,9 @@ ARRIVED_ANGLE, ARRIVED_LENGTH = np.radians(1.0), 0.003
 def at(here: Array, goal: Array) -> bool:
     """Whether angles (n,) [rad] are within a degree of a goal, or a pose (4, 4) within 3 mm and a degree."""
     if goal.ndim == 1:
-        return bool((np.abs(here - goal) < ARRIVED_ANGLE).all())
+        return (np.abs(here - goal) < ARRIVED_ANGLE).all()
     shift, turn = np.linalg.norm(difference(here, goal).reshape(2, 3), axis=1)
-    return bool(shift < ARRIVED_LENGTH and turn < ARRIVED_ANGLE)
+    return shift < ARRIVED_LENGTH and turn < ARRIVED_ANGLE
 
 
 class Sensed(NamedTuple):
