@@ -283,8 +283,6 @@ SHARPEST = 400.0
 """[rad/s^2] ten times an SO-101's limit"""
 TOO_FAST, SPEED_ROWS = 30.0, 5
 """times the servo's speed, over rows: another unit"""
-BRIEF = 1.0
-"""[s] of a log that may be a turned table"""
 WRAP = 1.0
 """[rad] of a step that the end of a turn may hide"""
 FAR_OUT = 0.05
@@ -351,9 +349,7 @@ def _within(arm: Arm, position: Array) -> Array:
 
 
 def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
-    """Check the length, and angles against limits and speeds of the arm."""
-    if (seconds := motion.time[-1] - motion.time[0]) < BRIEF:
-        yield f"state: only {seconds:.2g} s of motion; if each line is a variable, exchange lines and columns", ""
+    """Check angles against limits and speeds of the arm."""
     for what, values in {"state": motion.position, "command": motion.command}.items():
         if values is None:
             continue
