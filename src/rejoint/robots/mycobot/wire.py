@@ -427,9 +427,7 @@ def write_answer(computer: Computer, kind: str, value: Any) -> bytes:  # noqa: A
             return pack_bytes(value * 10.0)
         case "B":
             return pack_bytes(value)
-        case "x":
-            return bytes(value)
-    raise ValueError(kind)
+    return bytes(value)
 
 
 ORDER = "!"
