@@ -232,10 +232,10 @@ class Detector:
         numbers = self._opencv.getBoard().getDictionary()
         for picture in (grey, np.ascontiguousarray(grey[:, ::-1])):
             found = cv2.aruco.ArucoDetector(numbers).detectMarkers(picture)[1]
-            seen = np.zeros(0) if found is None else np.ravel(found)
-            if len(seen) >= FEWEST_MARKERS and len(np.unique(seen)) < len(seen):
-                return "markers are seen twice: take every other board out of the picture"
+            seen = np.ravel([] if found is None else found)
             if len(seen) >= FEWEST_MARKERS:
+                if len(np.unique(seen)) < len(seen):
+                    return "markers are seen twice: take every other board out of the picture"
                 return (
                     "markers are seen, but not where the board's description has them: is it of this print, by "
                     "`rejoint board`, and is the picture not mirrored?"
