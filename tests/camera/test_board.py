@@ -25,7 +25,7 @@ def test_the_pdf_shows_the_board_of_opencv_in_true_size(board, page, tmp_path):
 
 
 def test_rulers_are_100_mm_long():
-    black = np.asarray(page_of(ON_TOOL)) == 0
+    black = np.asarray(page_of(ON_TOOL, "A4")) == 0
     for page in (black, black.T):  # nothing else on the page is a line as long
         filled = np.pad(page.cumsum(axis=1, dtype=np.int32), ((0, 0), (1, 0)))
         lines = [(filled[:, length:] - filled[:, :-length] == length).any() for length in (100 * DOTS, 101 * DOTS)]

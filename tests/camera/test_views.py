@@ -91,7 +91,7 @@ def test_a_live_camera_keeps_its_settings_and_is_given_back(monkeypatch):
     monkeypatch.setattr(cv2, "VideoCapture", lambda _: device)
     monkeypatch.setattr(tracker, "PAUSE", 0.01)
     with tracker.LiveCamera(0) as camera:
-        picture = camera.still()
+        picture = camera.still(1)
         device.frames = 0
         with pytest.raises(InputError, match="gives no pictures any more"):
             camera.picture()

@@ -26,6 +26,9 @@ def motion(found: Sample) -> RecordedMotion:
         columns=tuple(f"state.{name}" for name in ARM.joint_names),
         robot="csv:motion",
         angle_unit="rad",
+        half=None,
+        more={},
+        units={},
     )
 
 

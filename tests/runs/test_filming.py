@@ -175,7 +175,7 @@ def test_a_camera_watches_a_real_arm_until_its_cable_is_pulled(tmp_path, monkeyp
     monkeypatch.setattr(cv2, "VideoCapture", lambda _: device)
     with pytest.raises(InputError, match="it is not known where it stands"), opened_eye("0", robot, run, 0):
         pass
-    write_rig(run.folder.camera, ARM, SCENE, np.full(19, 1e-3))
+    write_rig(run.folder.camera, ARM, SCENE, np.full(19, 1e-3), "")
     with opened_eye("0", robot, run, 0) as eye:
         until(lambda: eye.sighting(100.0) is not None)
         seen, now = eye.sighting(100.0), time.monotonic()

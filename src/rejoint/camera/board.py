@@ -136,7 +136,7 @@ def write_pdf(path: Path, board: Board, page: str) -> None:
     write_whole(path, lambda temporary: picture.save(temporary, format="PDF", resolution=DOTS * 25.4))
 
 
-def page_of(board: Board, page: str = "A4") -> Image.Image:
+def page_of(board: Board, page: str) -> Image.Image:
     """Draw the page, `DOTS` per millimetre."""
     if page not in PAGES:
         raise InputError(f"board: no page is called {page!r}; known pages: {', '.join(PAGES)}")

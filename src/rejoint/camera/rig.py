@@ -193,7 +193,7 @@ mounted: pose of what the tool carries, in its frame
 sigma: standard deviations of the lens (f, cx, cy, k1, k2, p1, p2), then shift and turn of both poses"""
 
 
-def write_rig(path: Path, arm: Arm, rig: Rig, sigma: Array, date: str = "") -> None:
+def write_rig(path: Path, arm: Arm, rig: Rig, sigma: Array, date: str) -> None:
     """Write a rig; ``sigma`` (19,): deviations of `TERMS`, `Rig.standing` and `Rig.mounted`."""
     told = {"format": FORMAT, "arm": arm.name, "date": date, **vars(rig), "sigma": sigma}
     write_sealed(path, toml_of(told), _ABOUT)

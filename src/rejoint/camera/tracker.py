@@ -63,7 +63,7 @@ class LiveCamera:
                 return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8), time.monotonic()
         raise InputError(f"camera {self.number} gives no pictures any more; check its cable")
 
-    def still(self, number: int = 0) -> Picture:  # noqa: ARG002 - every picture is another one
+    def still(self, number: int) -> Picture:  # noqa: ARG002 - every picture is another one
         """Mean of a few images after a rest."""
         until = time.monotonic() + PAUSE
         while self.picture()[1] < until:

@@ -214,11 +214,11 @@ class RecordedMotion(FileMotion):
     """in the file"""
     robot: str
     """origin of the log"""
-    half: Array | None = None
+    half: Array | None
     """(n,) [rad] half ranges of normalised values"""
-    more: Mapping[str, Array] = field(default_factory=dict)
+    more: Mapping[str, Array]
     """other data with T rows, as fields of `RunLog`"""
-    units: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str]
     """of `more`"""
 
     def __len__(self) -> int:
