@@ -50,7 +50,7 @@ def view_of(rig, name, links, rng):
 def taken(carried="board", count=24, seed=0):
     """Views of the worn arm in chosen postures; joints that float lie anywhere in their play."""
     rig = beside(ARM) if carried == "board" else on_tool(ARM, board=ON_TABLE)
-    position = choose_postures(ARM, rig, count, seed)
+    position = choose_postures(ARM, rig, count)
     rng = np.random.default_rng(seed)
     free = 1.0 - np.tanh(WORN.torque(ARM, position) / 0.004) ** 2
     links = WORN.joints(ARM, position) + 0.5 * WORN.play * free * rng.uniform(-1, 1, position.shape)

@@ -46,12 +46,12 @@ _AROUND = 0.04  # [m] around the region of targets in which the tool stays (chos
 _LOOK = 1.0  # [m] and [rad] of camera and board around where they are believed to be
 
 
-def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0) -> Array:
+def choose_postures(arm: Arm, rig: Rig, count: int) -> Array:
     """Choose ``count`` postures (count, n) [rad] in which ``rig`` shows the board: D-optimal.
 
     InputError for too few views.
     """
-    candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count), seed)
+    candidates = seen_postures(arm, rig, max(CANDIDATES, 2 * count))
     if len(candidates) < count:
         raise InputError(
             f"the camera sees the board in {len(candidates)} of {_TRIES * _DRAWS} postures around the rest posture, "
@@ -73,7 +73,7 @@ def choose_postures(arm: Arm, rig: Rig, count: int, seed: int = 0) -> Array:
 
 def scouting_postures(arm: Arm, carried: str) -> Array:
     """Choose `SCOUTS` postures (s, n) [rad] about rest, far apart."""
-    drawn = seen_postures(arm, None, CANDIDATES, 0, spread=SCOUTING[carried])
+    drawn = seen_postures(arm, None, CANDIDATES, spread=SCOUTING[carried])
     if len(drawn) < SCOUTS:
         raise InputError(
             f"arm {arm.name}: {len(drawn)} postures about the rest posture are free of floor, limits and collisions, "
@@ -86,9 +86,9 @@ def scouting_postures(arm: Arm, carried: str) -> Array:
     return np.array(chosen)
 
 
-def seen_postures(arm: Arm, rig: Rig | None, count: int, seed: int, *, spread: float = SPREAD) -> Array:
+def seen_postures(arm: Arm, rig: Rig | None, count: int, *, spread: float = SPREAD) -> Array:
     """Draw up to ``count`` postures (C, n) [rad] about rest that a ``rig`` shows, with room around (`BEFORE`)."""
-    rng, room = np.random.default_rng(seed), _ROOM + BEFORE
+    rng, room = np.random.default_rng(0), _ROOM + BEFORE
     low, high = np.maximum(arm.lower + room, arm.rest - spread), np.minimum(arm.upper - room, arm.rest + spread)
     found = np.zeros((0, arm.joints))
     for _ in range(_TRIES):
