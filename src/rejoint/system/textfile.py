@@ -166,10 +166,8 @@ def read_columns(
     columns are refused.
     """
     sheet, found = read_sheet(path, most=most), {}
-    names, known = (
-        {name.casefold(): name for name in meanings},
-        {unit for one in meanings.values() for unit in one or ()},
-    )
+    names = {name.casefold(): name for name in meanings}
+    known = {unit for one in meanings.values() for unit in one or ()}
     usual = {name: next(iter(units or COUNT)) for name, units in meanings.items()}
     titled = {name: f"{name}_{unit}" if unit and exact else name for name, unit in usual.items()}
     for index, title in enumerate(sheet.titles):
