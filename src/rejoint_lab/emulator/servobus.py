@@ -232,11 +232,10 @@ class ServoArm(EmulatedArm, Generic[S]):
 
     @property
     def silent(self) -> set[int]:
-        """Servos, from 0, that neither hear nor answer."""
+        """Joints, and the gripper behind the last, whose servos neither hear nor answer."""
         if self.unpowered:
-            return {*range(len(self.servos))}
-        joints = {joint for spell in in_force(self.faults, "mute", self._elapsed) for joint in spell.joints}
-        return {k for k, servo in enumerate(self.servos) if servo.joint in joints}
+            return {*range(self.arm.joints + 1)}
+        return {joint for spell in in_force(self.faults, "mute", self._elapsed) for joint in spell.joints}
 
     @abstractmethod
     def restart(self, servo: S) -> None:
@@ -288,10 +287,10 @@ class ServoArm(EmulatedArm, Generic[S]):
         silent = self.silent
         return [
             servo
-            for index, servo in enumerate(self.servos)
-            if index not in silent
+            for servo in self.servos
+            if servo.joint not in silent
             and servo.awake <= self.clock
-            and (self.rate is None or dict(enumerate(self.rates)).get(servo["Baud_Rate"]) == self.rate)
+            and self.rate in (None, dict(enumerate(self.rates)).get(servo["Baud_Rate"]))
         ]
 
     def execute(self, request: Packet) -> list[Answer]:
