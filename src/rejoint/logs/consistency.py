@@ -368,9 +368,9 @@ def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
 
 
 def _check_motion(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
-    value, time, long = motion.position, motion.time[:, None], len(motion) > 4 * SPEED_ROWS
+    value, time = motion.position, motion.time[:, None]
     way, steps = np.diff(value, axis=0), np.diff(time, axis=0)
-    if long:
+    if len(motion) > 4 * SPEED_ROWS:
         speed = np.abs(value[SPEED_ROWS:] - value[:-SPEED_ROWS]) / (time[SPEED_ROWS:] - time[:-SPEED_ROWS])
         usual = np.percentile(speed, 90, axis=0)
         joint = int(np.argmax(usual / arm.max_speed))
