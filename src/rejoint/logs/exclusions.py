@@ -223,7 +223,7 @@ def spans_off(log: RunLog) -> list[tuple[float, float]]:
 def numbers(log: RunLog, key: str, words: Sequence[str]) -> Array:
     """Read what a log declares as ``key``; InputError."""
     try:
-        return np.array([float(word) for word in words])
+        return np.array(words, dtype=float)
     except ValueError as error:
         raise InputError(f"{log.label}: {key} {' '.join(words)!r} is not a number") from error
 

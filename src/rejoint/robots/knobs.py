@@ -214,7 +214,7 @@ class TunedServos(ABC):
 
 def _degrees(text: str) -> tuple[float, ...]:
     try:
-        found = tuple(float(word) for word in text.split(","))
+        found = tuple(map(float, text.split(",")))
     except ValueError:
         found = ()
     if not found or not all(-180.0 <= angle <= 180.0 for angle in found):
