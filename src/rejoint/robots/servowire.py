@@ -66,9 +66,8 @@ class ServoWire(ABC):
 
     def readPort(self, length: int, wait: float = WAIT) -> bytes:  # noqa: N802 - the maker's name
         """Return what comes within ``wait`` [s]; OSError."""
-        if length <= 0:  # as a client asks behind a packet that says it is shorter than any
-            return b""
-        if not select([self._descriptor], [], [], wait)[0]:
+        # a client asks for less than nothing behind a packet that says it is shorter than any
+        if length <= 0 or not select([self._descriptor], [], [], wait)[0]:
             return b""
         data = os.read(self._descriptor, length)
         if not data:

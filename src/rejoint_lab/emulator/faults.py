@@ -79,9 +79,8 @@ def _read(name: str, text: str, joints: int) -> Fault:
     words = match.groupdict()
     joint = words.pop("J", None)
     numbers = {letter: float(word) for letter, word in words.items()}
-    if not all(0.0 <= number < math.inf for number in numbers.values()) or numbers.get("P", 0.0) > 1.0:
-        raise ValueError
-    if numbers.get("D", 0.0) >= numbers.get("E", math.inf):
+    possible = all(0.0 <= number < math.inf for number in numbers.values()) and numbers.get("P", 0.0) <= 1.0
+    if not possible or numbers.get("D", 0.0) >= numbers.get("E", math.inf):
         raise ValueError
     chosen = {"overheat": (min(HOT_JOINT, joints) - 1,), "voltage": tuple(range(joints))}.get(name, ())
     if joint is not None:
