@@ -162,13 +162,21 @@ def dh_chain(rows: Array) -> tuple[Array, Array, Array]:
 
     ``rows`` (n, 4): d [m], a [m], alpha [rad], offset [rad] of Rz(q + offset) Tz(d) Tx(a) Rx(alpha).
     """
-    from rejoint.arms.rotations import pose_of, turned  # late: rotations are those of arms
-
-    offsets, before, axes = [], np.eye(4), np.eye(3)
+    offsets, before = [], np.eye(4)
     for d, a, alpha, offset in rows:
-        offsets.append(before @ pose_of(turned(offset * axes[2]), np.zeros(3)))
-        before = pose_of(turned(alpha * axes[0]), np.array([a, 0.0, d]))
-    return np.array(offsets), np.tile(axes[2], (len(rows), 1)), before
+        offsets.append(before @ _about(offset, 0, 1))
+        before = _about(alpha, 1, 2)
+        before[:3, 3] = a, 0.0, d
+    return np.array(offsets), np.tile([0.0, 0.0, 1.0], (len(rows), 1)), before
+
+
+def _about(angle: float, one: int, other: int) -> Array:
+    """Pose (4, 4) turned by ``angle`` [rad] in the plane of two axes."""
+    pose = np.eye(4)
+    pose[one, one] = pose[other, other] = np.cos(angle)
+    pose[other, one] = np.sin(angle)
+    pose[one, other] = -pose[other, one]
+    return pose
 
 
 def frozen(array: ArrayLike) -> NDArray[Any]:
