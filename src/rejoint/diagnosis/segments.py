@@ -103,7 +103,7 @@ class ExcitationLog:
 
     @cached_property
     def gain(self) -> Array:
-        """(T, n) P gain over each joint's largest."""
+        """(T, n) over each joint's largest."""
         found = np.ones_like(self.log.position) if self.log.gain is None else self.log.gain
         return np.where((found > 0.0).all(axis=0), found / found.max(axis=0).clip(1e-9), 1.0)
 

@@ -275,7 +275,7 @@ _ASKED, _OTHER = (
 """Words in the titles of what is asked for, and of what is neither position, torque nor current"""
 _SECONDS = re.compile(r"(?i)[._/](?P<nano>n(ano)?)?secs?$")
 _STAMPS = ("header.stamp", "stamp", "")
-"""May be seconds and nanoseconds; others go first"""
+"""Parts of one time; others go first"""
 _PATHS = ("/", "field.")
 """Beginnings of paths"""
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")

@@ -282,7 +282,7 @@ MISREAD = 16
 SHARPEST = 400.0
 """[rad/s^2] ten times an SO-101's limit"""
 TOO_FAST, SPEED_ROWS = 30.0, 5
-"""times the servo's speed, over rows: another unit"""
+"""times the servo's speed, over rows"""
 WRAP = 1.0
 """[rad] of a step that the end of a turn may hide"""
 FAR_OUT = 0.05
@@ -420,7 +420,7 @@ FOLLOWED = 0.7
 APART = 0.5
 """[rad] median following error beyond any sag"""
 SCATTERED = 5.0
-"""Scatter about a zero in this error"""
+"""Scatter in such an error"""
 
 
 def check_agreement(motion: RecordedMotion, off: Sequence[int]) -> Iterator[Remark]:

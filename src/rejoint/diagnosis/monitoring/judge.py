@@ -270,7 +270,7 @@ class Outlook:
 
     @property
     def later(self) -> bool:
-        """Whether all joints are only later in slow motion: a slower connection, no wear."""
+        """Whether all joints are only later: a slower connection."""
         return all(
             one.state == "steady" if one.quantity != "hysteresis" else one.state != "steady" and not one.better
             for one in self.changes
