@@ -28,6 +28,7 @@ WEARS = {
     "sticky roll": with_joint(4, coulomb=0.25, stiction=0.30),
     "blocked wrist": with_joint(3, coulomb=8.0, stiction=9.0),
     "limp wrist": with_joint(3, torque_limit=1e-3),
+    "ringing pan": with_joint(0, damping_gain=0.05 * HEALTHY.damping_gain[0]),
     "half gain": replace(HEALTHY, position_gain=0.5 * HEALTHY.position_gain),
 }
 
@@ -62,6 +63,7 @@ def found(logs):
         ("limp wrist", {("wrist_flex", "stuck")}),
         ("half scale", {("shoulder_pan", "stuck")}),
         ("half gain", set()),
+        ("ringing pan", {("shoulder_pan", "low_damping")}),
         ("unknown zeros", {("elbow_flex", "hysteresis"), ("elbow_flex", "lag")}),  # as sag tells no stiffness
     ],
 )
