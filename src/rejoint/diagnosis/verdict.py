@@ -172,7 +172,8 @@ def find(
             common_lag=common,
         )
         for kind, (quantity, _, rule) in RULES.items():
-            told = rule(case) if kind == "stuck" or not stuck(case) else None  # it seems to have all kinds of wear
+            turned = (row.sweep_gain or 0.0) < 0.0 and kind != "stuck"  # then no number means anything
+            told = None if (turned or kind in SEEMING) and stuck(case) else rule(case)
             if told is None:
                 continue
             tcp = 1e3 * told[0]
@@ -333,6 +334,8 @@ RULES: dict[str, tuple[str, str, Callable[[_Case], Found]]] = {
     "noise": ("noise_rad", "restless in its readings", noise),
 }
 """By kind of finding: judged quantity, what it makes of a joint, and rule"""
+SEEMING = ("lag", "offset", "torque_limit", "hysteresis")
+"""Kinds not named of joints that do not follow"""
 
 
 def _common_lag(measurement: Measurement, healthy: HealthyReference | None) -> float:
