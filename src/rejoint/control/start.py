@@ -85,7 +85,7 @@ class Stance:
 def begin(
     robot: Robot, limits: GuardLimits | None = None, stance: Stance | None = None, on_cycle: OnCycle | None = None
 ) -> Recording:
-    """Look, move slowly to rest, and compare with ``stance``, or with rest; NotReadyError if unsafe."""
+    """Look, move slowly to rest, and compare with ``stance`` or rest; NotReadyError if unsafe."""
     check_ready(robot)
     motion = move(robot, robot.arm.rest, limits=limits, on_cycle=_first_way(robot, on_cycle))
     state = robot.read()

@@ -585,7 +585,7 @@ def _classified(title: str, place: int = -1) -> Column | None:
 
 
 def _ends(title: str) -> Iterator[str]:
-    """Yield a title and, of a path such as ``/joint_states/elbow/position``, its ends."""
+    """Yield a title, and the ends of a path."""
     yield title
     if title.startswith(_PATHS):
         parts = re.split("[/.]", title)
