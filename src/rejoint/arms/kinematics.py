@@ -224,7 +224,7 @@ FLOATING = 0.01
 def floating(arm: Arm) -> float:
     """[N m] below which weight holds no joint at one side of its play, by the arm's mass and length."""
     length = np.linalg.norm([*arm.offset[:, :3, 3], arm.tip[:3, 3]], axis=1).sum()
-    return FLOATING * arm.mass.sum() * length + np.finfo(float).tiny
+    return FLOATING * (arm.mass.sum() * length) + np.finfo(float).tiny
 
 
 @entity

@@ -255,7 +255,7 @@ LEVEL = 0.02
 
 def least_load(arm: Arm) -> float:
     """Torque [N m] that an arm's motors carry at least, also of one that gravity does not load."""
-    return LEVEL * arm.mass.sum() * np.linalg.norm(GRAVITY) * reach(arm)
+    return LEVEL * (arm.mass.sum() * np.linalg.norm(GRAVITY)) * reach(arm)
 
 
 @lru_cache

@@ -135,9 +135,9 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
     findings = find(arm, measurement, rest, healthy)
     most = (healthy and healthy.error_mm and healthy.error_mm.high) or np.inf
     condition = _condition(findings, measurement, healthy)
-    unexplained = condition == "ok" and (loop.error_mm.low or 0.0) > most
     nothing = _nothing(arm, measurement, rest, healthy)
-    if unexplained:
+    if condition == "ok" and (loop.error_mm.low or 0.0) > most:
+        condition = "worn"
         nothing = (
             "No joint shows why: look for a load at the tool, for something in its way, and for offsets too small to "
             "name (a twin fits them)."
@@ -145,7 +145,7 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
     return Diagnosis(
         arm=arm.name,
         robot=logs.targets.robot,
-        condition="worn" if unexplained else condition,
+        condition=condition,
         verdict=(
             f"This arm misses its targets by {loop.error_mm.value:.1f} mm (mean of {len(loop.targets)}, spread "
             f"{loop.spread_mm:.1f} mm, by its own encoders{_usual(healthy)}). "

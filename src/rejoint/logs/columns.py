@@ -278,6 +278,7 @@ _STAMPS = ("header.stamp", "stamp", "")
 """Parts of one time; others go first"""
 _PATHS = ("/", "field.")
 """Beginnings of paths"""
+_PAIR = re.compile("desired|reference|actual|feedback")
 _JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
 
 
@@ -360,8 +361,12 @@ class _GroupedColumns:
         self.notes, self.extra = [*motion.notes], {**motion.extra}
         classified = (_classified(title, i) for i, title in enumerate(motion.titles))
         found = [one for one in classified if one]
-        first = {(one.group, one.name, one.unit): one for one in reversed(found)}  # a message may hold a joint twice
-        self.columns = {one.place: one for one in found if not one.title.startswith(_PATHS) or one in first.values()}
+        # a message may hold its states and commands by an older name, too
+        first = {
+            (one.group, _PAIR.sub("", one.title) if _PAIR.search(one.title) else one.place): one
+            for one in reversed(found)
+        }
+        self.columns = {one.place: one for one in found if one in first.values()}
         sent = any(not column.asked for column in self.of("command"))
         self.columns = {i: one for i, one in self.columns.items() if not (sent and one.asked)}
         self.implied = {"time": motion.time_unit, **dict.fromkeys(MOTION, motion.angle_unit)}
@@ -492,6 +497,9 @@ class _GroupedColumns:
         if names == [""] and (self.arm.joints == 1 or group in ("gain", "powered")):
             return columns * self.arm.joints
         titles = [column.title for column in columns]
+        if all(map(str.isdecimal, names)) and 0 < len(self.options.names) < len(names):
+            said = f"{group}: {len(names)} columns, and {len(self.options.names)} names in --order"
+            raise FileError(self.motion.path, said, "name all, also those of no joint")
         match = match_joints(ordered(names, self.options), self.arm, self.motion.path, group, titles=titles)
         columns = [columns[i] for i in match.columns]
         if match.dropped and group in MOTION:

@@ -403,7 +403,7 @@ FAR = 0.1
 """[rad] travel for duplicates and exchanged joints"""
 RELATED = (0.3, 0.9)
 """correlations: unrelated, and related"""
-MUCH_BETTER = (0.98, 5.0)
+MUCH_BETTER = (0.95, 5.0)
 """of exchanged or turned joints: correlation; and how much closer to 1"""
 SAME = 1e-5
 """[rad] rounding of a copied number"""

@@ -102,13 +102,9 @@ class Watched:
 
 
 def ordered(numbers: Sequence[str], options: ImportOptions) -> list[str]:
-    """Names of numbered columns by the options; InputError for too few names."""
+    """Names of numbered columns by the options."""
     if not all(map(str.isdecimal, numbers)):
         return list(numbers)
-    if 0 < len(options.names) < len(numbers):
-        raise InputError(
-            f"--order: {len(options.names)} names for {len(numbers)} columns; name all, also those of no joint"
-        )
     names = dict(zip(sorted(numbers, key=int), options.names, strict=False))
     return [names.get(number, number) for number in numbers]
 

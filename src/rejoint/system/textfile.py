@@ -237,7 +237,9 @@ def _parsed(text: str, encoding: str, path: Path, *, whole: bool = True) -> Shee
     # headings and what a sketch prints fill one cell, rows of a table several
     counts = [sum(map(bool, _split(lines[i], separator))) for i in chosen[:_LINES]]
     prints = next((k for k, count in enumerate(counts) if count > 1), 0) if max(counts, default=0) > 2 else 0
-    titles, second = [*(_split(lines[i], separator) for i in chosen[prints : prints + 2]), [], []][:2]
+    begin = [_split(lines[i], separator) for i in chosen[prints : prints + _LINES]]
+    titles = begin[0] if begin else []
+    second = next((row for row in begin[1:] if any(map(_plain, row))), [])  # not one of units
     alike = all(_plain(one) >= _plain(other) for one, other in zip(titles, second, strict=False) if one and other)
     named = not (alike and any(map(_plain, titles)))  # a row without titles may hold words
     rows = chosen[prints + named :]

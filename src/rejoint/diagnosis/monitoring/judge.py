@@ -485,9 +485,9 @@ def _error(found: Outlook) -> str:
 
 def _act(found: Outlook, worst: Change, repair: str) -> str:
     whose = f"the servo of {worst.joint}" if worst.joint else "the servos"
-    if found.later and not found.over:
-        return "look at the connection and the computer (rejoint doctor)"
-    if worst.better or worst.quantity == "sag":
+    if found.later:
+        return "look at the connection and the computer (rejoint doctor)" + f", then {repair}" * found.over
+    if worst.better:
         return (
             f"if {whose} was changed or greased, or the hand carries another load, check with --moved --repeat 5; else "
             f"play or a weaker motor may do it: {repair}"
