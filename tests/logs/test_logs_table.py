@@ -120,3 +120,12 @@ def test_titles_as_programs_of_ros_write_them_are_read(tmp_path, clock: str, sta
     (log,) = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(angle_unit="rad")).logs
     np.testing.assert_allclose(log.time, found.time, atol=1e-12)
     np.testing.assert_array_equal([log.position, log.command], [found.position, found.command])
+
+
+def test_clocks_of_two_messages_are_no_parts_of_one_time(tmp_path):
+    source = write_table(tmp_path / "log.csv", sample(), {"time_s": "/a/header/stamp/sec"})
+    head, *rows = source.read_text().splitlines()
+    stamps = "/a/header/stamp/nanosec,/b/header/stamp/sec,/b/header/stamp/nanosec"
+    source.write_text("\n".join([f"{stamps},{head}", *(f"0,7,0,{row}" for row in rows), ""]))
+    with pytest.raises(FileError, match="says the time, expected one"):
+        import_logs(source, ARM, out=tmp_path / "logs")

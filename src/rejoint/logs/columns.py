@@ -362,11 +362,8 @@ class _GroupedColumns:
         classified = (_classified(title, i) for i, title in enumerate(motion.titles))
         found = [one for one in classified if one]
         # a message may hold its states and commands by an older name, too
-        first = {
-            (one.group, _PAIR.sub("", one.title) if _PAIR.search(one.title) else one.place): one
-            for one in reversed(found)
-        }
-        self.columns = {one.place: one for one in found if one in first.values()}
+        first = {(one.group, _PAIR.sub("", one.title)): one.title for one in reversed(found)}
+        self.columns = {one.place: one for one in found if first[one.group, _PAIR.sub("", one.title)] == one.title}
         sent = any(not column.asked for column in self.of("command"))
         self.columns = {i: one for i, one in self.columns.items() if not (sent and one.asked)}
         self.implied = {"time": motion.time_unit, **dict.fromkeys(MOTION, motion.angle_unit)}
@@ -473,7 +470,8 @@ class _GroupedColumns:
             return self.motion.time
         if self.options.rate is not None:
             return np.arange(len(self.motion.number)) / self.options.rate
-        if len(times) != 1 and {(one.prefix in _STAMPS, one.unit) for one in times} != {(True, "s"), (True, "ns")}:
+        parts = {(one.prefix in _STAMPS, one.unit) for one in times}
+        if len(times) != 1 and (len(times), parts) != (2, {(True, "s"), (True, "ns")}):
             found = " and ".join(column.title for column in times) or "none"
             raise FileError(
                 self.motion.path,
