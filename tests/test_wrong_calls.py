@@ -30,7 +30,7 @@ FILES = {
 }
 CALLS = """
 deploy emulated:worn --targets metres.csv | metres
-diagnose emulated:worn?speed=3 | no speed
+diagnose emulated:worn?speed=3 | unknown field `speed`
 deploy emulated:worn --targets far.csv | out of reach
 deploy emulated:worn --targets short.csv | missing: z
 deploy emulated:worn --targets hole.csv | line 2

@@ -44,12 +44,13 @@ def _profile(text: str) -> EmulatedAddress:
     if not base or base.startswith("//"):
         raise ValueError("not of the form emulated:PROFILE")
     parts = [part.partition("=") for part in query.split("&")] if query else []
-    given = {key: value for key, _, value in parts if key in ("payload", *STS.knobs, *X_SERIES.knobs)}
     words, arm = [key for key, equals, _ in parts if not equals], None
     if words or (base in CATALOGUE and base not in wear_names()):
         arm, base = base, words[0] if words else "new"
         if arm not in CATALOGUE or len(words) > 1:
             raise ValueError(f"not of the form emulated:ARM?PROFILE with one of the arms {', '.join(CATALOGUE)}")
+    kind = X_SERIES if arm and drives(load_arm(arm).servos) else STS
+    given = {key: value for key, _, value in parts if key in ("payload", *kind.knobs)}
     rest = "&".join(key + equals + value for key, equals, value in parts if equals and key not in given)
     try:
         payload = float(given.pop("payload", "0"))
@@ -58,7 +59,6 @@ def _profile(text: str) -> EmulatedAddress:
     if not 0.0 <= payload < 100.0:
         raise ValueError(f"a payload is a mass in kg, such as payload=0.1, got {query!r}")
     profile = f"{base}?{rest}" if rest else base
-    kind = X_SERIES if arm and drives(load_arm(arm).servos) else STS
     return EmulatedAddress(profile=profile, arm=arm, payload=payload, gains=kind.read_gains(given))
 
 

@@ -85,8 +85,7 @@ class ServoKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Read gains from address options; ValueError."""
         found = {}
         for name, text in given.items():
-            if (knob := self.knobs.get(name)) is None:
-                raise ValueError(f"these servos have no {name}; expected one of {', '.join(self.knobs)}")
+            knob = self.knobs[name]
             if not (text.isascii() and text.isdecimal() and knob.low <= int(text) <= knob.high):
                 raise ValueError(f"expected {name}=N with N from {knob.low} to {knob.high}, got {text!r}")
             found[name] = int(text)
