@@ -23,6 +23,7 @@ from scipy import ndimage
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque
 from rejoint.arms.kinematics import GRAVITY, frames, position_kinematics
 from rejoint.arms.workspace import length_size, torque_size
+from rejoint.control.correction import rms
 from rejoint.diagnosis.regression import PER_SET, LinearFit, fit_trimmed, mean_of
 from rejoint.diagnosis.segments import (
     AT_REST,
@@ -438,7 +439,7 @@ def hunting(data: ExcitationLog, joint: int) -> Estimate | None:
     rest = [signal.detrend(data.log.position[rows, joint]) for rows in spans if len(rows) >= 4]
     if len(rest) < 4:
         return None
-    worst = np.sort([np.sqrt((r**2).mean()) for r in rest])[-(len(rest) // 4) :]
+    worst = np.sort([rms(r) for r in rest])[-(len(rest) // 4) :]
     motion = worst * _repeating_share(rest) ** 0.5
     return Estimate(motion.mean(), motion[0], motion[-1])
 

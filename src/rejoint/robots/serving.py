@@ -26,7 +26,7 @@ from rejoint.arms import Arm, Array, Displacement, Motors, choose_postures, tcp_
 from rejoint.arms.postures import too_heavy
 from rejoint.arms.rotations import WEIGHT, Orientation, tool_axis
 from rejoint.control.controllers.posture import MOVING, OFF, PostureGains, Unloading
-from rejoint.control.correction import Modelled
+from rejoint.control.correction import Modelled, tool_error
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.reference import Reference
 from rejoint.control.robot import ControlInput, JointState
@@ -155,7 +155,7 @@ class ServedArm(Computer, Reference):
         if self._settled:
             return
         posture, after = self._goal[0], now - self._since
-        error = float(np.linalg.norm(tcp_position(self.arm, posture) - tcp_position(self.arm, position)))
+        error = float(tool_error(self.arm, position, tcp_position(self.arm, posture)))
         away = np.abs(posture - position).max()
         if self._stopped:
             calm, lasts = bool((np.abs(self._speed) < MOVING).all()), STANDS

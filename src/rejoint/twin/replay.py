@@ -18,6 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial import cKDTree
 
 from rejoint.arms import Arm, Array, Index, Mask, gravity_torque
+from rejoint.control.correction import rms
 from rejoint.control.servoreference import ServoReference
 from rejoint.logs.consistency import refuse_copies
 from rejoint.logs.exclusions import Exclusions, find_exclusions, free_runs, numbers, spans_off, table_height, velocity
@@ -401,7 +402,7 @@ def _stretches(log: RunLog) -> tuple[Array, Array]:
 def folds(arm: Arm, logs: Sequence[RunLog], seed: int) -> Index:
     """(K,) fold of each log, of `FOLDS` with motions of every kind."""
     touching = [rows.contact.any() for rows in find_exclusions(arm, logs, table_height(arm, logs))]
-    speed = [np.sqrt(np.mean((np.diff(log.command, axis=0) / np.diff(log.time)[:, None]) ** 2)) for log in logs]
+    speed = [rms(np.diff(log.command, axis=0) / np.diff(log.time)[:, None]) for log in logs]
     order = sorted(range(len(logs)), key=lambda i: (touching[i], round(speed[i], 6), logs[i].label))
     rng, found = np.random.default_rng(seed), np.zeros(len(logs), dtype=int)
     for start in range(0, len(order), FOLDS):

@@ -15,6 +15,7 @@ from rejoint.arms import Arm, Array, frames, tcp_position
 from rejoint.arms.inertia import LINK_RADIUS_RATIO
 from rejoint.arms.workspace import reach
 from rejoint.control.comparison.recommend import MEANINGS
+from rejoint.control.correction import tool_error
 from rejoint.control.guard import reason_names
 from rejoint.pages.html import macros
 from rejoint.pages.live.view import Doing, SeenCycle, Shown
@@ -262,7 +263,7 @@ class WebPage:
         error, true, joints = np.nan, np.nan, ""
         if seen is not None:
             now = seen.cycle
-            error = float(np.linalg.norm(now.aim - tcp_position(arm, now.position)))
+            error = float(tool_error(arm, now.position, now.aim))
             true = float(np.linalg.norm(now.target - now.true_tcp))
             joints = write.joints(arm.joint_names, now, seen.temperature, HOT)
         actions = dict[str, str]()  # of the guard, each with the joint whose command it changed most

@@ -25,6 +25,7 @@ from rejoint.control.comparison.result import (
 )
 from rejoint.control.controllers.observation import Observation, layout_factors, layout_slots
 from rejoint.control.controllers.policy import PolicyController, load_policy
+from rejoint.control.correction import tool_error
 from rejoint.pages.html import INK, LOOKS, Look, look_of
 from rejoint.pages.report.figures import WIDE, Series, Stroke, canvas, curves, plane
 from rejoint.pages.report.page import read_curves
@@ -71,8 +72,7 @@ def measure_kinematics(bench: Bench) -> Found:
     postures = vendor.drawn(POSTURES, bench.seed)
     places = tcp_position(vendor, postures)
     apart, equal = (
-        1e3 * np.linalg.norm(tcp_position(other, postures + PAPER_ANGLE_SHIFT) - places, axis=1).max()
-        for other in (paper, paper_arm(rows))
+        1e3 * tool_error(other, postures + PAPER_ANGLE_SHIFT, places).max() for other in (paper, paper_arm(rows))
     )
     names = ("offset °", "d mm", "a mm", "α °")
     headers = ("joint", *(f"{whose}: {name}" for whose in ("paper", "vendor") for name in names))
