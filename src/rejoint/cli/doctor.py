@@ -107,8 +107,8 @@ def compiler(_: Surroundings) -> Iterator[Symptom]:
 
 def disk(case: Surroundings) -> Iterator[Symptom]:
     """Look for space where runs and temporary files go."""
-    named = [case.run] if case.run is not None and case.run.is_dir() else []
-    for folder in dict.fromkeys((Path.cwd(), Path(tempfile.gettempdir()), *named)):
+    run = case.run if case.run and case.run.is_dir() else Path.cwd()
+    for folder in dict.fromkeys((Path.cwd(), Path(tempfile.gettempdir()), run)):
         free, writable = shutil.disk_usage(folder).free, os.access(folder, os.W_OK)
         fix = "" if free >= ROOM else f"free {(ROOM - free) / 1e6:.0f} MB there, or work in another folder"
         yield Symptom(

@@ -1,7 +1,7 @@
-"""Named findings from numbers: what is worn, its error at the tool, and a sentence.
+"""Findings from numbers: what is worn, its error at the tool, and a sentence.
 
-A finding's 95 % interval lies outside the healthy range, on the bad side. Without a reference only absolute faults
-count.
+A finding's 95 % interval, of arms of one model without that model's doubt, lies outside the healthy range, on the bad
+side. Without a reference only absolute faults count.
 """
 
 from collections.abc import Callable

@@ -279,7 +279,7 @@ def _recovering(time: Array, rows: Mask) -> Mask:
 
 
 SPAN = 0.16
-"""[s] over which a speed is taken at least; chosen: one step of an encoder in it is no motion"""
+"""[s] of a speed at least; chosen: one step of an encoder in it is no motion"""
 
 
 def joint_speed(time: Array, q: Array) -> Array:

@@ -65,7 +65,7 @@ def is_loopback(host: str) -> bool:
 
 
 def listen_tcp(host: str, port: int, backlog: int = 1) -> socket.socket:
-    """Listen on a TCP port, 0: any free one; by default one client waits, as at the vendor's server; InputError."""
+    """Listen on a TCP port, 0: any free one; one client waits, as at the vendor's; InputError."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)  # the vendor's client knows no IPv6
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
