@@ -106,13 +106,18 @@ def test_parts_of_what_json_and_archives_hold_are_joints(tmp_path, kind: str, se
         ("header.stamp.sec,header.stamp.nanosec", "feedback.positions[{}]", "reference.positions[{}]"),
         ("__time,/joint_states/header/stamp/sec", "/joint_states/{}/position", "/joint_commands/{}/position"),
         ("%time_ns,field.header.stamp", "field.actual.positions{}", "field.desired.positions{}"),
+        ("__time", "/arm/state/feedback/positions[{}]", "/arm/state/desired/positions[{}]"),
+        ("Time (ns)", "joint_angle_{}", "TargetPos{}"),
+        ("nsecs", "current_pos_{}", "action[{}] (rad)"),
+        ("%time_ns,sec", "{}", "goal of {}"),
     ],
 )
-def test_titles_as_programs_of_ros_write_them_are_read(tmp_path, clock: str, state: str, sent: str):
+def test_titles_as_other_programs_write_them_are_read(tmp_path, clock: str, state: str, sent: str):
     found, source = sample(), tmp_path / "log.csv"
     second = np.floor(found.time)
-    clocks = {"__time": found.time, "%time_ns": 1e9 * found.time, "header.stamp.nanosec": 1e9 * (found.time - second)}
-    joints = ARM.joint_names if "/" in state else range(5)
+    clocks = {"__time": found.time, "header.stamp.nanosec": 1e9 * (found.time - second)}
+    clocks |= dict.fromkeys(("%time_ns", "Time (ns)", "nsecs"), 1e9 * found.time)
+    joints = ARM.joint_names if "/{}/" in f"/{state}/" else range(5)
     columns = [clocks.get(one, second) for one in clock.split(",")] + [*found.position.T, *found.command.T]
     titles = ["name", clock, *map(state.format, joints), *map(sent.format, joints)]
     rows = [",".join(["arm", *map(repr, row)]) for row in np.transpose(columns).tolist()]
@@ -129,3 +134,12 @@ def test_clocks_of_two_messages_are_no_parts_of_one_time(tmp_path):
     source.write_text("\n".join([f"{stamps},{head}", *(f"0,7,0,{row}" for row in rows), ""]))
     with pytest.raises(FileError, match="says the time, expected one"):
         import_logs(source, ARM, out=tmp_path / "logs")
+
+
+def test_columns_that_only_resemble_commands_or_positions_are_left_alone(tmp_path):
+    source = write_table(tmp_path / "log.csv", sample())
+    head, *rows = source.read_text().splitlines()
+    others = [f"{stem}{k}" for stem in ("q_star_", "target_vel_", "tau_des_", "motor_position_", "") for k in range(5)]
+    source.write_text("\n".join([",".join([head, *others]), *(f"{row}{',7' * 25}" for row in rows), ""]))
+    (log,) = import_logs(source, ARM, out=tmp_path / "logs").logs
+    np.testing.assert_array_equal([log.position, log.command], [sample().position, sample().command])

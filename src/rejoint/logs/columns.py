@@ -11,7 +11,7 @@ joint's range. Thresholds are chosen.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,7 +26,7 @@ from rejoint.logs.joints import (
     TIME_UNITS,
     ImportOptions,
     half_ranges,
-    joint_of,
+    joint_in,
     match_joints,
     ordered,
     read_linear,
@@ -260,26 +260,19 @@ MOTION = ("position", "command")
 """Groups of angles"""
 POINTS = ("target", "true_tcp")
 """Groups of places"""
-_TITLES, _RECORDERS = NAMES["titles"], NAMES["recorders"]
-"""Beginnings of titles by group; units of groups that recorders imply"""
-_PREFIXES = sorted(((one, group) for group, ones in _TITLES.items() for one in ones), key=lambda p: -len(p[0]))
+_WORDS, _RECORDERS = NAMES["words"], NAMES["recorders"]
+"""Words of titles by their meaning; units of groups that recorders imply"""
+_SPOKEN = NAMES["units"]
+"""Units by their words"""
+_RANKED = ("asked", "read", "position", "torque")
+_RANKS = {word: rank for rank, word in enumerate(word for key in _RANKED for word in _WORDS[key])}
+"""Of words; the first ones are preferred"""
+_LAST = (len(_RANKS),)
+"""Rank of titles that name a joint alone"""
 _EVERY = re.compile(rf"\bJOINT(_({'|'.join(unit for known in UNITS.values() for unit in known if unit.isalpha())}))?$")
 """A meaning that stands for every joint"""
-_ASKED, _OTHER = (
-    re.compile(rf"(?i)(^|[._ /])({words})(?=[._ /\[\d]|$)")
-    for words in (
-        "des(ired)?|ref(erence)?|cmd|command(ed|s)?|goal|target|setpoint",
-        "ff|limit|max|min|enabled?|dot|vel(ocity)?|speed|acc(eleration)?|err(or)?|output",
-    )
-)
-"""Words in the titles of what is asked for, and of what is neither position, torque nor current"""
-_SECONDS = re.compile(r"(?i)[._/](?P<nano>n(ano)?)?secs?$")
-_STAMPS = ("header.stamp", "stamp", "")
-"""Parts of one time; others go first"""
-_PATHS = ("/", "field.")
-"""Beginnings of paths"""
-_PAIR = re.compile("desired|reference|actual|feedback")
-_JOINT = re.compile(r"[._ ]?\[?(?P<number>\d+)\]?|[._ ](?P<name>.+)|")
+_WORD = re.compile(r"(?i:q_d)(?![^\W_])|[A-Z]+(?![a-z])|[A-Z]?[^\WA-Z\d_]+|\d+")
+_POINT = re.compile(rf"({'|'.join(POINTS)})[. _]([xyz])")
 
 
 class Column(NamedTuple):
@@ -293,10 +286,8 @@ class Column(NamedTuple):
     """joint, its number, or axis; empty: all joints"""
     unit: str | None = None
     """in the title"""
-    prefix: str = ""
-    """beginning of the title by which the group was found"""
-    asked: bool = False
-    """a command by a word in the title alone"""
+    rank: tuple[int, ...] = _LAST
+    """of its words; lower ones are preferred"""
     scale: float = 1.0
     offset: float = 0.0
     """in the column's unit"""
@@ -359,17 +350,16 @@ class _GroupedColumns:
     def __init__(self, motion: RawMotion, arm: Arm, options: ImportOptions) -> None:
         self.motion, self.arm, self.options = motion, arm, options
         self.notes, self.extra = [*motion.notes], {**motion.extra}
-        classified = (_classified(title, i) for i, title in enumerate(motion.titles))
-        found = [one for one in classified if one]
-        # a message may hold its states and commands by an older name, too
-        first = {(one.group, _PAIR.sub("", one.title)): one.title for one in reversed(found)}
-        self.columns = {one.place: one for one in found if first[one.group, _PAIR.sub("", one.title)] == one.title}
-        sent = any(not column.asked for column in self.of("command"))
-        self.columns = {i: one for i, one in self.columns.items() if not (sent and one.asked)}
-        self.implied = {"time": motion.time_unit, **dict.fromkeys(MOTION, motion.angle_unit)}
-        self.implied |= dict.fromkeys((*SI, "gain", "powered"), "")
-        prefixes = (column.prefix for column in self.columns.values())
-        self.implied |= next((_RECORDERS[prefix] for prefix in prefixes if prefix in _RECORDERS), {})
+        named = (_classified(title, arm, i) for i, title in enumerate(motion.titles))
+        found = sorted(filter(None, named), key=lambda column: column.rank, reverse=True)
+        best = {(column.group, column.name): column.rank for column in found}
+        self.columns = {one.place: one for one in found if one.rank == best[one.group, one.name]}
+        if any(column.rank < _LAST for column in self.of("position")):  # else columns are named as the joints
+            self.columns = {i: one for i, one in self.columns.items() if one.group != "position" or one.rank < _LAST}
+        measured = dict.fromkeys((*SI, "gain", "powered"), "")
+        self.implied = {"time": motion.time_unit, **dict.fromkeys(MOTION, motion.angle_unit), **measured}
+        begins = (one for title in motion.titles for one in _RECORDERS if title.casefold().startswith(one))
+        self.implied |= _RECORDERS.get(next(begins, ""), {})
         mapped = [
             column
             for ours, theirs in options.columns.items()
@@ -379,16 +369,8 @@ class _GroupedColumns:
         own = {column.place: column for column in mapped}
         if len(own) < len(mapped):
             raise InputError("--map takes a column twice")
-
-        def meaning(column: Column) -> tuple[str, str]:
-            return column.group, joint_of(column.name, arm) or column.name
-
-        meant = set(map(meaning, mapped))
-        self.columns = {place: one for place, one in self.columns.items() if meaning(one) not in meant} | own
-        if not self.of("position"):  # columns named as the joints
-            bare = ((i, title, joint_of(title, arm)) for i, title in enumerate(motion.titles))
-            own = {i: Column(i, title, name=name, unit=split_unit(title, ANGLES)[1]) for i, title, name in bare if name}
-            self.columns = own | self.columns
+        meant = {(one.group, one.name) for one in mapped}
+        self.columns = {i: one for i, one in self.columns.items() if (one.group, one.name) not in meant} | own
         if ignored := [title or "(no name)" for i, title in enumerate(motion.titles) if i not in self.columns]:
             self.notes.append(f"columns ignored: {shown(ignored)}")
         if not self.of("position"):
@@ -404,24 +386,23 @@ class _GroupedColumns:
 
     def _mapped(self, ours: str, theirs: str) -> list[Column]:
         """Return the columns that ``theirs`` names, with the meaning of ``ours``."""
-        titles, joint = self.motion.titles, joint_of(ours, self.arm)
-        unit = split_unit(ours, ANGLES)[1]
-        meaning = _classified(ours) if joint is None else Column(-1, ours, name=joint, unit=unit)
+        titles, meaning = self.motion.titles, _classified(ours, self.arm)
         if meaning is None:
             raise InputError(
                 f"--map {ours}={theirs}: {ours} is nothing that a log has: time, JOINT, command.JOINT, torque.JOINT, "
                 f"target.x or true_tcp.x; the joints are {', '.join(self.arm.joint_names)}"
             )
+        joint = bool(meaning.name) and (meaning.group, meaning.rank) == ("position", _LAST)  # alone: all of it
         known = {*titles, *(column.name for column in self.columns.values())}
         given, scale, offset = read_linear(theirs, known if {*theirs.split("..")} - {*titles} else {theirs})
         first, between, last = given.partition("..")
         if between and first in titles and last in titles:
             places, names = [*range(titles.index(first), titles.index(last) + 1)], self.arm.joint_names
-            if joint is not None or len(places) != len(names):
+            if joint or len(places) != len(names):
                 raise InputError(f"--map {ours}={theirs}: {len(places)} columns for {len(names)} joints")
         else:
             places = [i for i, title in enumerate(titles) if title == given]
-            if joint is not None and not places:
+            if joint and not places:
                 places = [i for i, column in self.columns.items() if column.name == given]
             names = (meaning.name,) * len(places)
         if not places:
@@ -433,13 +414,13 @@ class _GroupedColumns:
         found = []
         for place, name in zip(places, names, strict=True):
             column = self.columns.get(place) or Column(place, titles[place])
-            group = meaning.group if joint is None else column.group
+            group = column.group if joint else meaning.group
             column = column._replace(unit=column.unit or split_unit(titles[place], UNITS[group])[1])
-            if joint is None or group in MOTION:
+            if not joint or group in MOTION:
                 column = column._replace(unit=meaning.unit or column.unit, scale=scale, offset=offset)
             else:  # the gear's torque, the motor's current, and what has no gear
                 column = column._replace(scale={"torque": 1.0 / scale, "current": np.sign(scale)}.get(group, 1.0))
-            found.append(column._replace(group=group, name=name, asked=False))
+            found.append(column._replace(group=group, name=name))
         return found
 
     def _unit(self, column: Column) -> str:
@@ -465,13 +446,13 @@ class _GroupedColumns:
 
     def clock(self) -> Array:
         """Return times (T,) [s]."""
-        times = [one for one in self.of("time") if one.prefix not in _STAMPS] or self.of("time")
+        times = self.of("time")
         if self.motion.time is not None:
             return self.motion.time
         if self.options.rate is not None:
             return np.arange(len(self.motion.number)) / self.options.rate
-        parts = {(one.prefix in _STAMPS, one.unit) for one in times}
-        if len(times) != 1 and (len(times), parts) != (2, {(True, "s"), (True, "ns")}):
+        parts = {(one.rank, one.unit) for one in times}
+        if len(times) != 1 and (len(times), parts) != (2, {(_LAST, "s"), (_LAST, "ns")}):
             found = " and ".join(column.title for column in times) or "none"
             raise FileError(
                 self.motion.path,
@@ -528,12 +509,9 @@ class _GroupedColumns:
 
     def commands(self, half: Array | None) -> Array | None:
         """Return commands (T, n) [rad], if any; those that are known by a word alone may be of something else."""
-        found = self.of("command")
         try:
-            return self.values("command", half)[0] if found else None
+            return self.values("command", half)[0] if self.of("command") else None
         except FileError as error:
-            if not all(column.asked for column in found):
-                raise
             self.notes.append(f"command left out: {error.problem}; {error.remedy}")
             return None
 
@@ -557,7 +535,7 @@ class _GroupedColumns:
         """Other measurements as fields of `RunLog`, and the units of those that have one."""
         found: dict[str, Array] = {}
         units = {}
-        for group in [group for group in _TITLES if group not in ("time", *MOTION) and self.of(group)]:
+        for group in [group for group in UNITS if group not in ("time", *MOTION) and self.of(group)]:
             try:
                 values, columns, named = self.values(group)
             except FileError as error:
@@ -575,40 +553,50 @@ class _GroupedColumns:
         return found, units
 
 
-def _classified(title: str, place: int = -1) -> Column | None:
-    """Return the column that a title names, or None; a position that is asked for is a command."""
-    found = _begun(title, place)
-    if found and found.group not in ("position", *SI):
-        return found
-    if _OTHER.search(title):
+def _classified(title: str, arm: Arm, place: int = -1) -> Column | None:
+    """Return the column that the words of a title mean, or None."""
+    short, unit = split_unit(title, LENGTHS)
+    if point := _POINT.fullmatch(short):
+        return Column(place, title, point[1], point[2], unit)
+    joint, start, end = joint_in(title, arm)
+    beside = f"{title[:start]} {title[end:]}".rpartition("header")[2]  # of a message begins its stamp
+    words = [one.casefold() for one in _WORD.findall(beside)]
+    group = _group(words, joint)
+    if group is None:
         return None
-    asked, ends = bool(_ASKED.search(title)), (_ASKED.sub("", end).lstrip("._ /") for end in _ends(title))
-    path = title.startswith(_PATHS)  # of whose parts one is the joint
-    found = next((one for end in ends if (one := _begun(end, place)) and not (path and "." in one.name)), None)
-    if found is None or (asked and found.group != "position"):
+    short, unit = split_unit(title, UNITS[group])
+    unit = unit or next((_SPOKEN[word] for word in words if _SPOKEN.get(word) in UNITS[group]), None)
+    if group == "time":
+        return Column(place, title, group, unit=unit, rank=() if {*words} & {*_WORDS["time"]} - {"stamp"} else _LAST)
+    own = {*_WORDS["any"], *_RANKS, *_WORDS.get(group, ()), *_SPOKEN}
+    parts = [*_WORD.finditer(short)]
+    said = [part.group().casefold() for part in parts]
+    known = [word in own for word in said]
+    if not joint and False in known:
+        first, last = known.index(False), len(known) - known[::-1].index(False)
+        if title.startswith("/"):  # a path, which ends with the joint and its group
+            first = max((i + 1 for i in range(last) if known[i]), default=0)
+        joint = short[parts[first].start() : parts[last - 1].end()]
+        stem = {*said[first:last]} - {*_WORDS["motor"]}
+        if any(known[first:last]) or (len(stem) > 1 and joint[-1].isdecimal()):
+            return None
+    ranks = tuple(sorted(_RANKS[word] for word in words if word in _RANKS))
+    return Column(place, title, group, joint, unit, ranks or _LAST)
+
+
+def _group(words: Sequence[str], joint: str) -> str | None:
+    """Return the group of a title with these words beside a joint."""
+    said = {*words}
+    ticks = {_SPOKEN.get(word, word) for word in words} - {*_WORDS["clock"]}
+    if ticks and ticks <= {*_WORDS["time"], *TIME_UNITS}:
+        return "time"
+    if said & {*_WORDS["other"]}:
         return None
-    return found._replace(title=title, group="command" if asked else found.group, asked=asked)
-
-
-def _ends(title: str) -> Iterator[str]:
-    """Yield a title, and the ends of a path."""
-    yield title
-    if title.startswith(_PATHS):
-        parts = re.split("[/.]", title)
-        yield f"{parts[-1]}.{parts[-2]}"
-        for first in range(1, len(parts)):
-            yield ".".join(parts[first:])
-
-
-def _begun(title: str, place: int) -> Column | None:
-    short = _SECONDS.sub(lambda found: "_ns" if found["nano"] else "_s", title)
-    for prefix, group in _PREFIXES:
-        if not short.casefold().startswith(prefix):
-            continue
-        rest, unit = split_unit(f"x{short[len(prefix) :]}", UNITS[group])
-        found = _JOINT.fullmatch(rest[1:])
-        name = found and (found["number"] or found["name"] or "")
-        names = {"time": ("",), **dict.fromkeys(POINTS, AXES)}.get(group)
-        if name is not None and (names is None or name in names):
-            return Column(place, title, group, name, unit, prefix)
-    return None
+    group = next((one for one in ("powered", "position", *SI, "gain", "read") if said & {*_WORDS[one]}), "")
+    angle = group in ("position", "read", "")
+    if said & {*_WORDS["asked"]}:
+        return "command" if angle else None
+    beside = said - {*filter(str.isdecimal, said)}
+    if not group and (beside - {*_WORDS["any"], *_SPOKEN} or not (beside or joint)):
+        return None
+    return "position" if angle else group

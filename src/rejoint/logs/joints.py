@@ -15,7 +15,6 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded, read_shipped, read_toml, reading, write_text
-from rejoint.system.textfile import ANGLES, split_unit
 
 AngleUnit = Literal["rad", "deg", "normalised"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
@@ -148,23 +147,24 @@ class Match(NamedTuple):
     """names are only numbers"""
 
 
-def joint_of(name: str, arm: Arm) -> str | None:
-    """Joint with this name (or LeRobot's, with ``.pos``, or SAGE's for an SO-101), perhaps with a unit."""
-    short = split_unit(name.removesuffix(".pos"), ANGLES)[0]
-    if {*NAMES["so101"].values()} == {*arm.joint_names}:
-        short = NAMES["so101"].get(short, short)
-    return next((joint for joint in arm.joint_names if joint.casefold() == short.casefold()), None)
+def joint_in(title: str, arm: Arm) -> tuple[str, int, int]:
+    """Return the joint that a title names, and where; an empty one if none."""
+    names = {joint: joint for joint in arm.joint_names}
+    if {*NAMES["so101"].values()} == {*names}:
+        names |= NAMES["so101"]
+    for name in sorted(names, key=len, reverse=True):
+        if found := re.search(rf"(?i)(?<![^\W_]){re.escape(name)}(?![^\W_])", title):
+            return names[name], *found.span()
+    return "", 0, 0
 
 
 def match_joints(names: Sequence[str], arm: Arm, path: Path, what: str, titles: Sequence[str] | None = None) -> Match:
-    """Find every joint once in a file: by `joint_of`, behind a prefix, or by numbers from 0 or 1.
+    """Find every joint once in a file: by its name, or by numbers from 0 or 1.
 
     ``titles`` are full column names. FileError.
     """
     titles = titles or names
-    joints = [joint_of(name, arm) for name in names]
-    if not any(joints):  # with a prefix: main_elbow_flex
-        joints = [joint_of(re.split("[_/]", name, maxsplit=1)[-1], arm) for name in names]
+    joints = [joint_in(name, arm)[0] for name in names]
     if numbered := not any(joints):
         joints = _numbers(names, arm)
     for joint in arm.joint_names:
@@ -177,11 +177,11 @@ def match_joints(names: Sequence[str], arm: Arm, path: Path, what: str, titles: 
             f"{what}: no column for joint {', '.join(missing)} of {arm.name}, only {', '.join(titles) or 'none'}",
             "say with --arm which arm it is of, or with --map which name means which joint: --map JOINT=NAME",
         )
-    dropped = tuple(title for title, joint in zip(titles, joints, strict=True) if joint is None)
+    dropped = tuple(title for title, joint in zip(titles, joints, strict=True) if not joint)
     return Match([joints.index(joint) for joint in arm.joint_names], dropped, numbered)
 
 
-def _numbers(names: Sequence[str], arm: Arm) -> list[str | None]:
+def _numbers(names: Sequence[str], arm: Arm) -> list[str]:
     """Joints of plain numbers; m1 only if the arm's names end in numbers."""
     parts = [_NUMBERED.fullmatch(name) for name in names]
     counted = all(name[-1:].isdigit() for name in arm.joint_names)
@@ -189,8 +189,8 @@ def _numbers(names: Sequence[str], arm: Arm) -> list[str | None]:
         own = {i: int(part[2]) for i, part in enumerate(parts) if part and part[1] == stem}
         first = min(own.values(), default=-1)
         if first in (0, 1) and sorted(own.values()) == [*range(first, first + arm.joints)]:
-            return [arm.joint_names[own[i] - first] if i in own else None for i in range(len(names))]
-    return [None] * len(names)
+            return [arm.joint_names[own[i] - first] if i in own else "" for i in range(len(names))]
+    return [""] * len(names)
 
 
 LARGEST = 2047

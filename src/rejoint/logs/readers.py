@@ -14,7 +14,7 @@ import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -28,7 +28,7 @@ from rejoint.system.errors import FileError, InputError, first_line
 from rejoint.system.extras import require
 from rejoint.system.files import begins_with, read_bounded, reading, require_file
 from rejoint.system.numbers import as_floats
-from rejoint.system.textfile import ANGLES, TEXT_MOST, head, read_sheet, shown, split_unit
+from rejoint.system.textfile import TEXT_MOST, head, read_sheet, shown
 
 
 class Reader(NamedTuple):
@@ -142,11 +142,9 @@ def _flat(value: object, kinds: Any = dict, name: str = "") -> Iterator[tuple[st
         yield name, value
 
 
-@cache
 def _title(name: str, part: str | int) -> str:
-    """NAME.KEY or NAME_0 of a part, with the unit of NAME at its end."""
-    stem, unit = split_unit(name, ANGLES)
-    return f"{stem}{'_' if isinstance(part, int) else '.' * bool(stem)}{part}{f'_{unit}' if unit else ''}"
+    """NAME.KEY or NAME_0 of a part."""
+    return f"{name}{'_' if isinstance(part, int) else '.' * bool(name)}{part}"
 
 
 def _archive(file: Path) -> tuple[dict[str, Array], str]:
