@@ -140,6 +140,7 @@ HALVED = 2.0
 def _doubts(arm: Arm, excluded: Sequence[Exclusions], motions: Sequence[MotionErrors]) -> list[str]:
     logs = [rows.log for rows in excluded]
     found = sorted({log.extra[ZEROS] for log in logs if ZEROS in log.extra})
+    measure = "joint" if found else "tcp"
     travel = max(np.ptp(log.position, axis=0).max() for log in logs)
     if travel < MOVED:
         return [f"no joint moved by more than {np.degrees(travel):.2g} deg, expected at least {np.degrees(MOVED):g}"]
@@ -159,7 +160,7 @@ def _doubts(arm: Arm, excluded: Sequence[Exclusions], motions: Sequence[MotionEr
         late.append(_motion(arm, rows, {"": log.command[np.clip(row, 0, len(log) - 1)]}))
 
     def errors(found: Sequence[MotionErrors], name: str) -> Array:
-        return np.array([own.tcp for motion in found if (own := motion.errors[name].free)])
+        return np.array([getattr(own, measure) for motion in found if (own := motion.errors[name].free)])
 
     command, *twins = (errors(motions, name) for name in motions[0].errors)
     for name, without in (("the command", command), (f"the command {lag:.2f} s later", errors(late, ""))):
