@@ -234,12 +234,13 @@ def _parsed(text: str, encoding: str, path: Path, *, whole: bool = True) -> Shee
     if separator == " ":
         lines = [" ".join(line.split()) for line in lines]
     chosen = [i for i in chosen if lines[i].strip(f"{separator} \t")]
-    # headings and what a sketch prints fill one cell, rows of a table several
-    counts = [sum(map(bool, _split(lines[i], separator))) for i in chosen[:_LINES]]
-    prints = next((k for k, count in enumerate(counts) if count > 1), 0) if max(counts, default=0) > 2 else 0
-    begin = [_split(lines[i], separator) for i in chosen[prints : prints + _LINES]]
-    titles = begin[0] if begin else []
-    second = next((row for row in begin[1:] if any(map(_plain, row))), [])  # not one of units
+    # headings and what a sketch prints fill one cell, rows of a table several; titles hold no number
+    cells = [_split(lines[i], separator) for i in chosen[:_LINES]]
+    counts = [sum(map(bool, row)) for row in cells]
+    several = [k for k, count in enumerate(counts) if count > 1 < max(counts) - 1]
+    prints = next((k for k in several if not any(map(_plain, cells[k]))), min(several, default=0))
+    titles = cells[prints] if cells else []
+    second = next((row for row in cells[prints + 1 :] if any(map(_plain, row))), [])  # not one of units
     alike = all(_plain(one) >= _plain(other) for one, other in zip(titles, second, strict=False) if one and other)
     named = not (alike and any(map(_plain, titles)))  # a row without titles may hold words
     rows = chosen[prints + named :]
