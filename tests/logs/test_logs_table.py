@@ -46,7 +46,7 @@ def test_a_declared_time_unit_is_taken_and_rows_are_sorted(tmp_path, unit: str, 
 
 
 @pytest.mark.parametrize(
-    ("unit", "scale", "said"), [("rad", 180 / np.pi, "beyond two turns; .* degrees"), ("deg", 1.0, "surely radians")]
+    ("unit", "scale", "said"), [("rad", 180 / np.pi, "beyond two turns; .* degrees"), ("deg", 1.0, "may be radians")]
 )
 def test_degrees_called_radians_and_the_reverse_are_refused(tmp_path, unit: str, scale: float, said: str):
     names = {f"{g}.{j}_rad": f"{g}.{j}_{unit}" for g in ("position", "command") for j in ARM.joint_names}

@@ -544,7 +544,7 @@ class _GroupedColumns:
             if group == "powered":
                 group, values = "gain", np.where(values > 0, found.get("gain", np.nan), 0.0)
             elif group in SI:
-                if not (np.isfinite(values) & (values != 0.0)).any():  # not measured
+                if not np.nan_to_num(values).any():  # not measured
                     continue
                 units[group] = SI[group] if all(named) else ""
                 if not units[group]:

@@ -243,11 +243,12 @@ GEAR_REMEDY = "give gear, sign and zero of each joint: --map JOINT=THEIRS/RATIO+
 def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Iterator[Remark]:
     """Check the declared unit of angles; FileError."""
     angles, unit = motion.position, motion.angle_unit
-    extent = np.rad2deg(np.abs(angles).max())
-    if unit == "deg" and extent <= 2 * np.pi:
-        said = f"state: no angle is beyond {extent:.3g} deg; the values are surely radians"
+    extent, read = np.rad2deg(np.abs(angles).max()), np.rad2deg(angles)
+    out = np.maximum(read - arm.upper, arm.lower - read).max() > LIMIT_MARGIN  # as radians
+    if unit == "deg" and extent <= 2 * np.pi and not (out or turn_bits(angles)):
+        said = f"state: no angle is beyond {extent:.3g} deg; the values may be radians"
         yield said, "set --angle-unit rad, or correct the column's name where that says a unit"
-    elif unit == "deg" and (bits := turn_bits(np.rad2deg(angles))):
+    elif unit == "deg" and (bits := turn_bits(read)):
         said = f"state: the values come in steps of 2 pi / {2**bits}: they are radians, not degrees"
         yield f"{said}; up to {extent:.4g} rad are angles of the motors, before their gear", GEAR_REMEDY
     for what, values in {"state": angles, "command": motion.command}.items():
@@ -265,7 +266,7 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Ite
     # no other program normalises, and other encoders have other steps
     lerobot, declared = motion.extra.get("format") == "lerobot", options.angle_unit
     if declared in ("deg", "normalised") and (options.calibration is not None or lerobot):
-        raw = np.rad2deg(angles) if motion.half is None else angles / motion.half * 100.0
+        raw = read if motion.half is None else angles / motion.half * 100.0
         kind, why = unit_by_steps(raw)
         if kind is None and lerobot and np.abs(raw).max() <= NORMALISED_MOST:
             yield "nothing in the file tells degrees from normalised values: compare with what the arm did", ""
