@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from rejoint.arms import mycobot280, so101
 from rejoint.twin.parameters import nominal_parameters
 from rejoint.twin.simulation import ChainBatch, Draw
-from rejoint.twin.step import GROUP, LANES, turn
+from rejoint.twin.step import GROUP, LANES
 from rejoint.twin.table import TableBatch
 
 ARMS = {"mycobot280": mycobot280(), "so101": so101()}
@@ -104,12 +102,3 @@ def test_every_arm_moves_to_the_bit_as_it_does_alone(threads):
         alone.write(Draw.of(twins[i : i + 1]))
         alone.restart(position[i : i + 1], velocity[i : i + 1])
         assert_array_equal(alone.rollout(control[i : i + 1])[0], path[i])
-
-
-@settings(max_examples=200)
-@given(st.lists(st.floats(-1e3, 1e3), min_size=LANES, max_size=LANES))
-def test_sine_and_cosine_are_those_of_numpy(angles):
-    angle, sine, cosine = np.array(angles), np.empty(LANES), np.empty(LANES)
-    turn(LANES, angle, sine, cosine)
-    assert_allclose(sine, np.sin(angle), rtol=0.0, atol=2e-13)  # the rounding of large angles; 3e-16 within a turn
-    assert_allclose(cosine, np.cos(angle), rtol=0.0, atol=2e-13)

@@ -46,27 +46,6 @@ class NoAlias(Compiler):  # type: ignore[misc]
 OPTIONS = {"nogil": True, "cache": True, "pipeline_class": NoAlias, "error_model": "numpy"}
 INLINE = {"inline": "always", "error_model": "numpy"}
 
-SINE = (
-    1.58969099521155010221e-10,
-    -2.50507602534068634195e-08,
-    2.75573137070700676789e-06,
-    -1.98412698298579493134e-04,
-    8.33333333332248946124e-03,
-    -1.66666666666666324348e-01,
-)
-COSINE = (
-    -1.13596475577881948265e-11,
-    2.08757232129817482790e-09,
-    -2.75573143513906633035e-07,
-    2.48015872894767294178e-05,
-    -1.38888888888741095749e-03,
-    4.16666666666666019037e-02,
-)
-"""Coefficients of the polynomials in x^2, the highest first (fdlibm)"""
-_PI_2A, _PI_2B = 1.5707963267341256, 6.077100506506192e-11
-_TWO_OVER_PI = 0.6366197723675814
-_ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to whole numbers
-
 
 @njit(**INLINE)
 def _load(row, first, l):
@@ -127,25 +106,9 @@ def _spun(row, l, a):
 
 @njit(**OPTIONS)
 def turn(lanes, q, sine, cosine):
-    """Sine and cosine of angles (lanes,) [rad] up to some thousand, to a few 1e-16."""
+    """Sine and cosine of angles (lanes,) [rad]; in a loop of their own, for calls stop the compiler's vectors."""
     for l in range(lanes):
-        quarter = (q[l] * _TWO_OVER_PI + _ROUND) - _ROUND
-        x = (q[l] - quarter * _PI_2A) - quarter * _PI_2B
-        s = x * x
-        sin, cos = SINE[0], COSINE[0]
-        for k in range(1, 6):
-            sin, cos = SINE[k] + s * sin, COSINE[k] + s * cos
-        sin = x + x * s * sin
-        cos = 1.0 - 0.5 * s + s * s * cos
-        half = quarter * 0.5
-        odd = abs(half - ((half + _ROUND) - _ROUND)) > 0.25  # swap
-        fourth = quarter * 0.25 - 0.125
-        turns = (fourth + _ROUND) - _ROUND
-        k = quarter - 4.0 * turns  # -1, 0, 1 or 2
-        a = cos if odd else sin
-        b = sin if odd else cos
-        sine[l] = -a if (k > 1.5 or k < -0.5) else a
-        cosine[l] = -b if k > 0.5 else b
+        sine[l], cosine[l] = np.sin(q[l]), np.cos(q[l])
 
 
 @njit(**OPTIONS)
