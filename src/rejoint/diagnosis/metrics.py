@@ -413,7 +413,8 @@ def farthest_off(data: ExcitationLog, joint: int, law: Law | None) -> float:
     nearing = np.sign(error) * velocity(time, position, 4)[:, 0]
     runs = free_runs(nearing < AT_REST, time, SETTLED_LAST)
     left = (joint_speed(time, command) >= AT_REST) | (np.diff(time, prepend=time[:1]) > QUIET)
-    runs = [(a, b) for a, b in runs if np.append(left, True)[b]]  # before, the joint may be on its way
+    known = data.log.period <= COARSEST  # else, and before a command moves, the joint may be on its way
+    runs = [(a, b) for a, b in runs if known and np.append(left, True)[b]]
     count = max(round((SETTLED_LAST + 2.0 * max(lag, 0.0)) / data.log.period), 1)  # a joint needs its lag to turn round
     stood = [sliding_window_view(beyond[a:b], min(count, b - a)).min(axis=-1).max() for a, b in runs]
     return max(stood, default=0.0)
@@ -473,8 +474,8 @@ def noise(data: ExcitationLog, joint: int) -> Estimate | None:
     return Estimate(*((one or 0.0) ** 0.5 for one in (power.value, power.low, power.high)))
 
 
-DELAYS = np.arange(0.005, 0.0801, 0.005)
-"""[s] tried: idle bus to two periods of a slow one"""
+LONGEST = 0.08
+"""[s] delay that is tried, or two periods of a slow bus; chosen"""
 
 _USUAL_DELAY = 0.02
 """[s] where no joint moves; chosen"""
@@ -509,38 +510,38 @@ _MIN_RATIO = 5e-5
 
 def arm_delay(data: ExcitationLog) -> float:
     """Delay [s] of commands and answers: lower quartile of the joints."""
-    found = []
+    found, delays = [], np.arange(0.005, max(LONGEST, 2.0 * data.log.period) + 1e-4, 0.005)
     for joint in range(data.arm.joints):
-        motion = _motion(data, joint, DELAYS)
+        motion = _motion(data, joint, delays)
         if len(motion.time) >= _MIN_WINDOWS:  # a joint that does not move has no time of its own
             fits = np.asarray(np.linalg.lstsq(motion.design, motion.error.T, rcond=None)[0].T)
-            costs = _onset_costs(data, joint, fits)
-            found += [_lowest(costs)] if np.isfinite(costs).any() else []
+            costs = _onset_costs(data, joint, delays, fits)
+            found += [_lowest(delays, costs)] if np.isfinite(costs).any() else []
     return np.quantile(found, 0.25) if found else _USUAL_DELAY
 
 
-def _lowest(cost: Array) -> float:
+def _lowest(delays: Array, cost: Array) -> float:
     """Delay [s] at the minimum of a parabola through the lowest cost (D,)."""
     i = np.argmin(cost)
     before, here, after = np.pad(cost, 1, constant_values=np.inf)[i : i + 3]
     bend = before - 2 * here + after  # infinite at either end
     aside = 0.5 * (before - after) / bend if np.isfinite(bend) and bend > 0.0 else 0.0
-    return DELAYS[i] + (DELAYS[1] - DELAYS[0]) * aside
+    return delays[i] + (delays[1] - delays[0]) * aside
 
 
-def _onset_costs(data: ExcitationLog, joint: int, fits: Array) -> Array:
+def _onset_costs(data: ExcitationLog, joint: int, delays: Array, fits: Array) -> Array:
     """Squared errors (D,) of simulated step beginnings by laws (D, 5)."""
     log, steps = data.log, data.of_kind(STEP, joint)
     data.require(len(steps) >= 2, "steps", joint)
-    offsets = np.arange(0.0, _ONSET, _STEP)
+    offsets = np.arange(0.0, max(_ONSET, 3.0 * log.period), _STEP)
     time = np.array([s.start for s in steps])[:, None] + offsets  # (S, K)
     before = np.maximum(np.searchsorted(log.time, time[:, 0]) - 1, 0)
     start = log.position[before, joint]
-    sent = data.references[joint].sample(time.ravel(), DELAYS).reshape(-1, *time.shape)
+    sent = data.references[joint].sample(time.ravel(), delays).reshape(-1, *time.shape)
     drive = sent - log.command[before, joint][:, None]  # (D, S, K)
     lag, half_width, ratio = np.maximum(fits.T[:3, :, None], np.array([0.0, 0.0, _MIN_RATIO])[:, None, None])
     way, speed = np.zeros(drive.shape[:2]), np.zeros(drive.shape[:2])
-    cost = np.zeros(len(DELAYS))
+    cost = np.zeros(len(delays))
     answers = [np.interp(t, log.time, log.position[:, joint]) for t in time]
     moved = np.array(answers) - start[:, None]
     for k in range(len(offsets)):
