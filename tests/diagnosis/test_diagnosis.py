@@ -154,3 +154,16 @@ def test_a_diagnosis_begins_with_a_look(monkeypatch):
     with pytest.raises(NotReadyError):
         record(robot, seed=0)
     assert robot.read().time == 0.0, "nothing was moved"
+
+
+def test_a_joint_that_turns_the_other_way_than_the_model_is_doubted(logs, found):
+    turn = np.where(np.arange(6) == 1, -1.0, 1.0)
+    turned = {
+        name: dataclasses.replace(log, position=log.position * turn, command=log.command * turn)
+        for name, log in vars(logs["healthy 1"]).items()
+    }
+    verdicts = [
+        judge(ARM, DiagnosisLogs(**turned), healthy_reference(ARM)).verdict,
+        *(one.verdict for one in found.values()),
+    ]
+    assert ["joints sag as if" in verdict for verdict in verdicts] == [True, *[False] * len(found)]

@@ -136,6 +136,7 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
     most = (healthy and healthy.error_mm and healthy.error_mm.high) or np.inf
     condition = _condition(findings, measurement, healthy)
     nothing = _nothing(arm, measurement, rest, healthy)
+    doubt = sag_doubt(join_logs(arm, find_exclusions(arm, [logs.targets, logs.excitation])))
     if condition == "ok" and (loop.error_mm.low or 0.0) > most:
         condition = "worn"
         nothing = (
@@ -149,7 +150,7 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
         verdict=(
             f"This arm misses its targets by {loop.error_mm.value:.1f} mm (mean of {len(loop.targets)}, spread "
             f"{loop.spread_mm:.1f} mm, by its own encoders{_usual(healthy)}). "
-            f"{_verdict_of(findings, loop.error_mm, healthy, nothing)}"
+            f"{_verdict_of(findings, loop.error_mm, healthy, nothing)}{doubt and f' But {doubt}.'}"
         ),
         findings=findings,
         unseen=(BEHIND, FLANK, *_untold(measurement)),

@@ -284,8 +284,8 @@ def sag_doubt(data: ExcitationLog) -> str:
             "carries more than the weight"
         )
         tried.append((_explained(pulls, along), base))
-    load = "the tip carried more: if it did, diagnose with --payload {:.2f}; else check the zeros of the joints"
-    loads = [(_explained(pulls, np.append(GRAVITY, one)), load.format(one)) for one in data.arm.mass.sum() * LOADS]
+    load = "the tip carried more: if it did, weigh that and diagnose with --payload; else check the zeros of the joints"
+    loads = [(_explained(pulls, np.append(GRAVITY, one)), load) for one in data.arm.mass.sum() * LOADS]
     zeros = []
     for name, one in joints:
         for degrees in ANGLES:

@@ -167,7 +167,9 @@ def identify(
     on_progress(0.9, "intervals")
     held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)
     clusters = np.unique(fine.window + 1j * (fine.replay.time // CLUSTER), return_inverse=True)[1]
-    return fitted_twin(fine, found, logs, clusters, held_out)
+    doubt = sag_doubt(join_logs(arm, find_exclusions(arm, logs)))
+    twin = fitted_twin(fine, found, logs, clusters, held_out, doubted=bool(doubt))
+    return replace(twin, notes=(*twin.notes, *filter(None, [doubt])))
 
 
 def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
