@@ -209,7 +209,7 @@ class Following:
         if self.falling[b, j]:
             return (
                 f"{name}: it moves away from its command; it has no torque, too little for its load, or a wrong "
-                "reading: support the arm before you switch it off"
+                "reading, or it swings: support the arm before you switch it off"
             )
         seen = (
             f"{name}: the command moved {np.degrees(abs(track['travel'])):.1f} deg in "
