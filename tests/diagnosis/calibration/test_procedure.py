@@ -123,7 +123,7 @@ def test_a_calibrated_arm_hits_what_it_missed(tmp_path):
     assert error[1] < 0.4 * error[0]
     assert [done.log.aim is None for done in (plain, aimed, other)] == [True, False, True]
 
-    again = rejoint.calibrate(run=run, gauge=run.folder.measurements, settings=rejoint.Settings(calibration="none"))
+    again = rejoint.calibrate(run=run, gauge=run.folder.measurements)  # without what they told before
     np.testing.assert_array_equal(again.calibration.displacement.offset, found.calibration.displacement.offset)
     with pytest.raises(ContractError, match="calibration of arm"):
         rejoint.deploy("emulated:so101", settings=replace(usual, calibration=found.calibration))

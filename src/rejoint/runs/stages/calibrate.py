@@ -207,6 +207,8 @@ def calibrate(
                 else:
                     measured, prior = _measured(drive, by, about, prior, count or POINTS, visits, share, fresh=fresh)
         update(0.95, "fitting")
+        if known and chosen.calibration is None and about is not None and _repeated(about, measured):
+            prior = None  # it has seen them
         zeros = zeros_of(session.address or (about.robot if about else ""))
         result = _fitted(session.arm, measured, prior, zeros, taken=about is not None and before is None)
         check()  # what is interrupted changes nothing
@@ -221,6 +223,15 @@ def calibrate(
                 if result.filmed is not None:
                     result.filmed.write(about.folder)
         return result
+
+
+def _repeated(run: Run, measured: Measurements | Film) -> bool:
+    """Whether the run's calibration rests on one of these postures."""
+    if not run.folder.measurements.exists():
+        return False
+    now = measured.position if isinstance(measured, Measurements) else [shot.position for shot in measured.usable]
+    seen = read_measurements(run.folder.measurements, run.arm).position
+    return any((seen == position).all(axis=-1).any() for position in now)
 
 
 def _fitted(
