@@ -162,8 +162,5 @@ def test_a_joint_that_turns_the_other_way_than_the_model_is_doubted(logs, found)
         name: dataclasses.replace(log, position=log.position * turn, command=log.command * turn)
         for name, log in vars(logs["healthy 1"]).items()
     }
-    verdicts = [
-        judge(ARM, DiagnosisLogs(**turned), healthy_reference(ARM)).verdict,
-        *(one.verdict for one in found.values()),
-    ]
-    assert ["joints sag as if" in verdict for verdict in verdicts] == [True, *[False] * len(found)]
+    doubted = judge(ARM, DiagnosisLogs(**turned), healthy_reference(ARM))
+    assert [one.doubt != "" for one in (doubted, *found.values())] == [True, *[False] * len(found)]

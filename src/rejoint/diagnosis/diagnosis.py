@@ -125,6 +125,8 @@ class Diagnosis(Readable):
     """of a diagnosis from logs"""
     servo_gains: dict[str, tuple[int, ...]] | None = None
     """one per joint (`rejoint.control.servogains`)"""
+    doubt: str = ""
+    """what explains the sag better than the model"""
 
 
 def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Diagnosis:
@@ -157,6 +159,7 @@ def judge(arm: Arm, logs: DiagnosisLogs, healthy: HealthyReference | None) -> Di
         open_loop=loop,
         measurement=measurement,
         healthy=healthy,
+        doubt=doubt,
     )
 
 
@@ -218,6 +221,7 @@ def diagnose_logs(
         measurement=measurement,
         healthy=healthy,
         evidence=evidence,
+        doubt=doubt,
     )
 
 

@@ -142,8 +142,12 @@ def identify(
     arm: Arm,
     logs: Sequence[RunLog],
     on_progress: Progress = no_progress,
+    doubt: str = "",
 ) -> Twin:
-    """Fit a twin to an excitation, the first of ``logs``; InputError for another arm or too little motion."""
+    """Fit a twin to an excitation, the first of ``logs``; ``doubt``: of its sag (`rejoint.diagnosis.diagnosis`).
+
+    InputError for another arm or too little motion.
+    """
     seconds = sum(log.duration for log in logs)
     windows = cut(logs, EXCITATION_WINDOW)
     first = [window for window in windows if window.log is logs[0]]
@@ -167,7 +171,6 @@ def identify(
     on_progress(0.9, "intervals")
     held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)
     clusters = np.unique(fine.window + 1j * (fine.replay.time // CLUSTER), return_inverse=True)[1]
-    doubt = sag_doubt(join_logs(arm, find_exclusions(arm, logs)))
     twin = fitted_twin(fine, found, logs, clusters, held_out, doubted=bool(doubt))
     return replace(twin, notes=(*twin.notes, *filter(None, [doubt])))
 

@@ -137,7 +137,8 @@ def identify(
         chosen = kept(about).laden(chosen)
         drawn = about.seed if seed is None and about is not None else as_seed(seed)
         if logs is None or (about is None and of_diagnosis(motions)):
-            twin = fit(chosen, motions, update)
+            told = about and about.diagnosis
+            twin = fit(chosen, motions, update, told.doubt if told else "")
         else:
             hold_out = None if what.hold_out is None else tuple(what.hold_out)
             how = LogSettings(hold_out=hold_out, seed=drawn)
