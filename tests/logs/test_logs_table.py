@@ -54,6 +54,18 @@ def test_degrees_called_radians_and_the_reverse_are_refused(tmp_path, unit: str,
         import_logs(write_table(tmp_path / "wave.csv", worn_sample(), names, scale=scale), ARM, out=tmp_path / "logs")
 
 
+def test_small_degrees_are_doubted_only_where_radians_are_possible(tmp_path):
+    names = {f"{g}.{j}_rad": f"{g}.{j}_deg" for g in ("position", "command") for j in ARM.joint_names}
+    moved = worn_sample(seconds=8)
+    wide = write_table(tmp_path / "wide.csv", moved, names, scale=4.1)
+    (log,) = import_logs(wide, ARM, out=tmp_path / "logs").logs
+    np.testing.assert_allclose(log.position, np.deg2rad(4.1 * moved.position))
+    zero = np.array([0.0, np.pi / 2, 0.0, 0.0, 0.0])
+    other = replace(moved, position=moved.position + zero, command=moved.command + zero)
+    with pytest.raises(FileError, match="may be radians"):
+        import_logs(write_table(tmp_path / "other.csv", other, names), ARM, out=tmp_path / "no")
+
+
 @pytest.mark.parametrize("way", ["cells", "records", "bag"])
 def test_each_command_holds_until_the_next_of_its_joint(tmp_path, way: str):
     """The last one for a second: what follows it, and what precedes the first, is left out."""
@@ -109,7 +121,7 @@ def test_parts_of_what_json_and_archives_hold_are_joints(tmp_path, kind: str, se
         ("__time", "/arm/state/feedback/positions[{}]", "/arm/state/desired/positions[{}]"),
         ("Time (ns)", "joint_angle_{}", "TargetPos{}"),
         ("nsecs", "current_pos_{}", "action[{}] (rad)"),
-        ("%time_ns,sec", "{}", "goal of {}"),
+        ("%time_ns,sec,system_time", "{}", "goal of {}"),
     ],
 )
 def test_titles_as_other_programs_write_them_are_read(tmp_path, clock: str, state: str, sent: str):
@@ -136,10 +148,14 @@ def test_clocks_of_two_messages_are_no_parts_of_one_time(tmp_path):
         import_logs(source, ARM, out=tmp_path / "logs")
 
 
-def test_columns_that_only_resemble_commands_or_positions_are_left_alone(tmp_path):
-    source = write_table(tmp_path / "log.csv", sample())
+@pytest.mark.parametrize("others", ["q_star_,target_vel_,tau_des_,motor_position_,", "q_current_,state,enc,q_ref_"])
+def test_columns_that_only_resemble_commands_or_positions_are_left_alone(tmp_path, others: str):
+    found, stems = sample(), others.split(",")
+    source = write_table(tmp_path / "log.csv", found)
     head, *rows = source.read_text().splitlines()
-    others = [f"{stem}{k}" for stem in ("q_star_", "target_vel_", "tau_des_", "motor_position_", "") for k in range(5)]
-    source.write_text("\n".join([",".join([head, *others]), *(f"{row}{',7' * 25}" for row in rows), ""]))
+    for k, joint in enumerate(ARM.joint_names):
+        head = head.replace(f"position.{joint}", f"q{k}").replace(f"command.{joint}", f"q_cmd_{k}")
+    titles = [f"{stem}{k}" for stem in stems for k in range(5)] + ["state", "Rotation_raw", "target_pitch"]
+    source.write_text("\n".join([",".join([head, *titles]), *(f"{row}{',7' * len(titles)}" for row in rows), ""]))
     (log,) = import_logs(source, ARM, out=tmp_path / "logs").logs
-    np.testing.assert_array_equal([log.position, log.command], [sample().position, sample().command])
+    np.testing.assert_array_equal([log.position, log.command], [found.position, found.command])

@@ -50,6 +50,7 @@ WAYS: dict[str, tuple[bytes, str]] = {
     ),
     "prints of a sketch": (text("Servo test v1.2", "Ready.", *lines("\t")).encode(), "parted by tabs, after 2 other"),
     "heading of a spreadsheet": (text("Bench 3;;;;", ";;;;", *lines(";", ",")).encode("utf-16"), "after 1 other line"),
+    "a vendor's recorder": (text("Graph,3", "-1,XL430,Present Position,,,", *lines()).encode(), "after 2 other line"),
     "empty rows of a spreadsheet": (text(*lines(";"), ";" * 10, ";" * 10).encode(), "semicolons"),
     "no end of the last line": ("\n".join(lines()).encode(), ""),
     "dates": (text("time," + lines()[0].partition(",")[2], *map(dated, lines()[1:])).encode(), ""),
@@ -81,7 +82,8 @@ def test_a_line_that_was_cut_is_left_out(tmp_path):
 
 
 def test_columns_without_titles_are_numbered(tmp_path):
-    (tmp_path / "serial.txt").write_text(text("starting ...", *lines(header=False)).replace("starting", "# starting"))
+    rows = lines(header=False)
+    (tmp_path / "serial.txt").write_text(text("# starting ...", *rows[:12], "lost, retry", *rows[12:]))
     options = ImportOptions(angle_unit="rad", columns={"time_s": "1", "position": "2..6", "command": "7..11"})
     log = import_logs(tmp_path / "serial.txt", ARM, out=tmp_path / "logs", options=options).logs[0]
     assert log.command.tolist() == FOUND.command.tolist()

@@ -264,14 +264,15 @@ _WORDS, _RECORDERS = NAMES["words"], NAMES["recorders"]
 """Words of titles by their meaning; units of groups that recorders imply"""
 _SPOKEN = NAMES["units"]
 """Units by their words"""
-_RANKED = ("asked", "read", "position", "torque")
+_KNOWN = {*_SPOKEN, *(word for key, words in _WORDS.items() if key != "motor" for word in words)}
+_RANKED = ("asked", "read", "position", *SI)
 _RANKS = {word: rank for rank, word in enumerate(word for key in _RANKED for word in _WORDS[key])}
 """Of words; the first ones are preferred"""
-_LAST = (len(_RANKS),)
+_LAST = len(_RANKS)
 """Rank of titles that name a joint alone"""
 _EVERY = re.compile(rf"\bJOINT(_({'|'.join(unit for known in UNITS.values() for unit in known if unit.isalpha())}))?$")
 """A meaning that stands for every joint"""
-_WORD = re.compile(r"(?i:q_d)(?![^\W_])|[A-Z]+(?![a-z])|[A-Z]?[^\WA-Z\d_]+|\d+")
+_WORD = re.compile(r"(?i:q_d)(?![^\W\d_])|[A-Z]+(?![a-z])|[A-Z]?[^\WA-Z\d_]+|\d+")
 _POINT = re.compile(rf"({'|'.join(POINTS)})[. _]([xyz])")
 
 
@@ -286,8 +287,8 @@ class Column(NamedTuple):
     """joint, its number, or axis; empty: all joints"""
     unit: str | None = None
     """in the title"""
-    rank: tuple[int, ...] = _LAST
-    """of its words; lower ones are preferred"""
+    rank: tuple[int, ...] = (0, _LAST)
+    """of its words, unknown and weak ones first; lower ones are preferred"""
     scale: float = 1.0
     offset: float = 0.0
     """in the column's unit"""
@@ -354,8 +355,9 @@ class _GroupedColumns:
         found = sorted(filter(None, named), key=lambda column: column.rank, reverse=True)
         best = {(column.group, column.name): column.rank for column in found}
         self.columns = {one.place: one for one in found if one.rank == best[one.group, one.name]}
-        if any(column.rank < _LAST for column in self.of("position")):  # else columns are named as the joints
-            self.columns = {i: one for i, one in self.columns.items() if one.group != "position" or one.rank < _LAST}
+        bare = [column.place for column in self.of("position") if column.rank[-1] == _LAST]
+        if len(self.of("position")) - len(bare) >= arm.joints:  # else columns are named as the joints
+            self.columns = {i: one for i, one in self.columns.items() if i not in bare}
         measured = dict.fromkeys((*SI, "gain", "powered"), "")
         self.implied = {"time": motion.time_unit, **dict.fromkeys(MOTION, motion.angle_unit), **measured}
         begins = (one for title in motion.titles for one in _RECORDERS if title.casefold().startswith(one))
@@ -392,7 +394,7 @@ class _GroupedColumns:
                 f"--map {ours}={theirs}: {ours} is nothing that a log has: time, JOINT, command.JOINT, torque.JOINT, "
                 f"target.x or true_tcp.x; the joints are {', '.join(self.arm.joint_names)}"
             )
-        joint = bool(meaning.name) and (meaning.group, meaning.rank) == ("position", _LAST)  # alone: all of it
+        joint = bool(meaning.name) and (meaning.group, meaning.rank[-1]) == ("position", _LAST)  # alone: all of it
         known = {*titles, *(column.name for column in self.columns.values())}
         given, scale, offset = read_linear(theirs, known if {*theirs.split("..")} - {*titles} else {theirs})
         first, between, last = given.partition("..")
@@ -452,7 +454,7 @@ class _GroupedColumns:
         if self.options.rate is not None:
             return np.arange(len(self.motion.number)) / self.options.rate
         parts = {(one.rank, one.unit) for one in times}
-        if len(times) != 1 and (len(times), parts) != (2, {(_LAST, "s"), (_LAST, "ns")}):
+        if len(times) != 1 and (len(times), parts) != (2, {((_LAST,), "s"), ((_LAST,), "ns")}):
             found = " and ".join(column.title for column in times) or "none"
             raise FileError(
                 self.motion.path,
@@ -567,11 +569,12 @@ def _classified(title: str, arm: Arm, place: int = -1) -> Column | None:
     short, unit = split_unit(title, UNITS[group])
     unit = unit or next((_SPOKEN[word] for word in words if _SPOKEN.get(word) in UNITS[group]), None)
     if group == "time":
-        return Column(place, title, group, unit=unit, rank=() if {*words} & {*_WORDS["time"]} - {"stamp"} else _LAST)
-    own = {*_WORDS["any"], *_RANKS, *_WORDS.get(group, ()), *_SPOKEN}
+        told = {*words} & {*_WORDS["time"], *_WORDS["watch"]}
+        other = len({*words} & {*_WORDS["watch"], *_WORDS["clock"]})
+        return Column(place, title, group, unit=unit, rank=(other if told else _LAST,))
     parts = [*_WORD.finditer(short)]
     said = [part.group().casefold() for part in parts]
-    known = [word in own for word in said]
+    known = [word in _KNOWN for word in said]
     if not joint and False in known:
         first, last = known.index(False), len(known) - known[::-1].index(False)
         if title.startswith("/"):  # a path, which ends with the joint and its group
@@ -580,20 +583,22 @@ def _classified(title: str, arm: Arm, place: int = -1) -> Column | None:
         stem = {*said[first:last]} - {*_WORDS["motor"]}
         if any(known[first:last]) or (len(stem) > 1 and joint[-1].isdecimal()):
             return None
-    ranks = tuple(sorted(_RANKS[word] for word in words if word in _RANKS))
-    return Column(place, title, group, joint, unit, ranks or _LAST)
+    ranks = sorted(_RANKS[word] for word in words if word in _RANKS) or [_LAST]
+    weak = [word for word in words if group != "command" and word in _WORDS["weak"]]
+    strange = [word for word in words if not (word in _KNOWN or word.isdecimal())]
+    return Column(place, title, group, joint, unit, (len(weak + strange), *ranks))
 
 
 def _group(words: Sequence[str], joint: str) -> str | None:
     """Return the group of a title with these words beside a joint."""
     said = {*words}
     ticks = {_SPOKEN.get(word, word) for word in words} - {*_WORDS["clock"]}
-    if ticks and ticks <= {*_WORDS["time"], *TIME_UNITS}:
+    if ticks and ticks <= {*_WORDS["time"], *_WORDS["watch"], *_WORDS["stamp"], *TIME_UNITS}:
         return "time"
     if said & {*_WORDS["other"]}:
         return None
-    group = next((one for one in ("powered", "position", *SI, "gain", "read") if said & {*_WORDS[one]}), "")
-    angle = group in ("position", "read", "")
+    group = next((one for one in ("powered", "position", *SI, "gain", "read", "weak") if said & {*_WORDS[one]}), "")
+    angle = group in ("position", "read", "weak", "")
     if said & {*_WORDS["asked"]}:
         return "command" if angle else None
     beside = said - {*filter(str.isdecimal, said)}

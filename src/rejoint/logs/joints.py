@@ -153,7 +153,8 @@ def joint_in(title: str, arm: Arm) -> tuple[str, int, int]:
     if {*NAMES["so101"].values()} == {*names}:
         names |= NAMES["so101"]
     for name in sorted(names, key=len, reverse=True):
-        if found := re.search(rf"(?i)(?<![^\W_]){re.escape(name)}(?![^\W_])", title):
+        flag = re.IGNORECASE if name in arm.joint_names else re.NOFLAG
+        if found := re.search(rf"(?<![^\W_]){re.escape(name)}(?![^\W_])", title, flag):
             return names[name], *found.span()
     return "", 0, 0
 
