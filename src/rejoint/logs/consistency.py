@@ -244,8 +244,8 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Ite
     """Check the declared unit of angles; FileError."""
     angles, unit = motion.position, motion.angle_unit
     extent, read = np.rad2deg(np.abs(angles).max()), np.rad2deg(angles)
-    out = np.maximum(read - arm.upper, arm.lower - read).max() > LIMIT_MARGIN  # as radians
-    if unit == "deg" and extent <= 2 * np.pi and not (out or turn_bits(angles)):
+    wide = (np.ptp(read, axis=0) - arm.upper + arm.lower).max() > 2 * LIMIT_MARGIN  # as radians
+    if unit == "deg" and extent <= 2 * np.pi and not (wide or turn_bits(angles)):
         said = f"state: no angle is beyond {extent:.3g} deg; the values may be radians"
         yield said, "set --angle-unit rad, or correct the column's name where that says a unit"
     elif unit == "deg" and (bits := turn_bits(read)):
