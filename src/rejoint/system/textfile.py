@@ -238,7 +238,8 @@ def _parsed(text: str, encoding: str, path: Path, *, whole: bool = True) -> Shee
     cells = [_split(lines[i], separator) for i in chosen[:_LINES]]
     counts = [sum(map(bool, row)) for row in cells]
     several = [k for k, count in enumerate(counts) if count > 1 < max(counts) - 1]
-    prints = next((k for k in several if not any(map(_plain, cells[k]))), min(several, default=0))
+    full = next((k for k in several if counts[k] == max(counts) and any(map(_plain, cells[k]))), len(cells))
+    prints = next((k for k in several if k < full and not any(map(_plain, cells[k]))), min(several, default=0))
     titles = cells[prints] if cells else []
     second = next((row for row in cells[prints + 1 :] if any(map(_plain, row))), [])  # not one of units
     alike = all(_plain(one) >= _plain(other) for one, other in zip(titles, second, strict=False) if one and other)
