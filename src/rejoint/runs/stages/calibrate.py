@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
+
+import numpy as np
 
 from rejoint.arms import Arm
 from rejoint.control.recording import Observer, pacing
@@ -226,11 +229,12 @@ def calibrate(
 
 
 def _repeated(run: Run, measured: Measurements | Film) -> bool:
-    """Whether the run's calibration rests on one of these postures."""
-    if not run.folder.measurements.exists():
-        return False
+    """Whether one of these postures is of the measurements on which the run's calibration rests."""
+    file, seen = run.folder.measurements, np.zeros((0, run.arm.joints))
+    with suppress(FileError):
+        if file.exists() and read_interrupted(file, run.arm) is None:
+            seen = read_measurements(file, run.arm).position
     now = measured.position if isinstance(measured, Measurements) else [shot.position for shot in measured.usable]
-    seen = read_measurements(run.folder.measurements, run.arm).position
     return any((seen == position).all(axis=-1).any() for position in now)
 
 
