@@ -48,7 +48,7 @@ def twin(result: rejoint.Twin) -> Shown:
         f"(no twin: {1e3 * errors.no_twin.tcp:.1f} mm)."
     )
     if result.unknown:
-        yield f"The data cannot tell: {grouped(result.unknown)}; they keep their prior range."
+        yield f"The data cannot tell for sure: {grouped(result.unknown)}."
     for note in result.notes:
         yield f"  ! {note}"
 
