@@ -510,10 +510,12 @@ class _GroupedColumns:
         return raw * factors, columns, units
 
     def commands(self, half: Array | None) -> Array | None:
-        """Return commands (T, n) [rad], if any; those that are known by a word alone may be of something else."""
+        """Return commands (T, n) [rad], if any; those of a few joints may be of something else."""
         try:
             return self.values("command", half)[0] if self.of("command") else None
         except FileError as error:
+            if 2 * sum(not column.rank[0] for column in self.of("command")) > self.arm.joints:
+                raise
             self.notes.append(f"command left out: {error.problem}; {error.remedy}")
             return None
 
