@@ -1,8 +1,8 @@
 """What the columns of a file mean; units are never guessed.
 
-A title is a group, a joint and a unit: ``position.elbow_deg``, ``act_m0``, ``tau_measured_2``. `ImportOptions.columns`
-maps others: ``time_ms=t``, ``target.x_mm=gx``. ``joint1=m0/6.33-0.184`` holds for all columns of a joint (torque is
-divided by the scale, current takes its sign). ``command=27..32`` names all joints.
+The words of a title mean group, joint and unit: ``position.elbow_deg``, ``act_m0``, ``tau_measured_2``.
+`ImportOptions.columns` maps others: ``time_ms=t``, ``target.x_mm=gx``. ``joint1=m0/6.33-0.184`` holds for all columns
+of a joint (torque is divided by the scale, current takes its sign). ``command=27..32`` names all joints.
 
 Readings in radians or degrees step alike on every joint; LeRobot's normalised values step by 200 over the counts of a
 joint's range. Thresholds are chosen.
@@ -272,6 +272,7 @@ _LAST = len(_RANKS)
 """Rank of titles that name a joint alone"""
 _EVERY = re.compile(rf"\bJOINT(_({'|'.join(unit for known in UNITS.values() for unit in known if unit.isalpha())}))?$")
 """A meaning that stands for every joint"""
+# CamelCase holds several words, and libfranka's q_d is one
 _WORD = re.compile(r"(?i:q_d)(?![^\W\d_])|[A-Z]+(?![a-z])|[A-Z]?[^\WA-Z\d_]+|\d+")
 _POINT = re.compile(rf"({'|'.join(POINTS)})[. _]([xyz])")
 
