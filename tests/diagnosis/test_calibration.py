@@ -122,6 +122,11 @@ def test_a_base_that_stands_askew_is_told_from_the_points():
     assert error_of(fit(ARM, m), truth) < 0.4e-3
 
 
+def test_a_horn_that_slipped_by_a_tooth_is_found():
+    truth = replace(worn(), offset=np.radians([0.0, 14.4, 0.0, 0.0, 0.0, 0.0]))
+    assert error_of(fit(ARM, measured(truth, 12)), truth) < 0.5e-3
+
+
 def test_heights_alone_are_enough():
     truth = replace(worn(), offset=np.zeros(6))
     m = measured(truth, 12)

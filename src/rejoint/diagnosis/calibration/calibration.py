@@ -144,6 +144,8 @@ class Belief:
 class PriorCase:
     """A kind of arm with its prior."""
 
+    offset: float = OFFSET
+    """[rad] sigma"""
     play: float = PLAY
     """[rad]"""
     play_sigma: float = PLAY_SIGMA
@@ -173,7 +175,7 @@ def belief(arm: Arm, case: PriorCase, outside: Array = NOTHING) -> Belief:
     soft, each = case.compliance / stiff, np.array([SHIFT * length_size(arm)] * 3 + [TURN] * 3)
     links = np.inf if case.twist else 0.0
     rows = {
-        "offset": (0.0, OFFSET, -np.radians(6.0), np.radians(6.0)),
+        "offset": (0.0, case.offset, -10.0 * case.offset, 10.0 * case.offset),
         "compliance": (soft, soft, 0.0, 0.3 / stiff),
         "play": (case.play, case.play_sigma, 0.0, np.radians(8.0)),
         "mass": (0.0, MASS, -0.5, 0.5),

@@ -282,8 +282,9 @@ CASES = (
     PriorCase(play=np.radians(0.15), play_sigma=np.radians(0.15), compliance=0.003),
     PriorCase(tilt=ASKEW, odds=-0.5),
     PriorCase(twist=1.0, odds=-1.0),
+    PriorCase(offset=np.radians(6.0), odds=-1.0),
 )
-"""A worn arm, a healthy one, a tilted base, and inexact links"""
+"""A worn arm, a healthy one, a tilted base, inexact links, and wrong zeros (a tooth of a horn is 14 degrees)"""
 AGE = 0.3
 """Change since an earlier calibration, in sigmas of the prior; chosen"""
 
