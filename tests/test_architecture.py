@@ -116,7 +116,7 @@ def tokens(file):
 
 
 def test_every_room_keeps_its_budget():
-    """A change that adds also deletes. A larger budget is a decision, with a sentence in the changelog."""
+    """A change that adds also deletes. A larger budget is a decision, with its reason in the commit."""
     budgets = tomllib.loads((ROOT / "tests" / "budgets.toml").read_text())
     used = Counter()
     for file in (ROOT / "src").rglob("*.py"):
