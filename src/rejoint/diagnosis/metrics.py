@@ -207,6 +207,8 @@ CHANCE = 3.0
 
 LIMITED = 0.97
 """Share of the largest torque that may be a limit; chosen"""
+UNEVEN = 2.0
+"""Ratio of speeds that tell friction by speed from dry friction; chosen"""
 
 FADE = 2.0
 """[s] in which an integral term takes the load over; chosen: tells 0.5 to 10 s"""
@@ -359,7 +361,7 @@ def gravity_terms(arm: Arm, position: Array, joint: int) -> Array:
 def fit_effort(data: ExcitationLog, joint: int, *, own: bool = False) -> LinearFit | None:
     """Fit torque or current to the law, with the links' inertia; None with too little motion.
 
-    Outside the catalogue by any masses, or by their ``own``.
+    Outside the catalogue by any masses, or by their ``own``. Friction grows with the speed where speeds differ.
     """
     motion = _motion(data, joint)
     motion = motion.at((np.abs(motion.direction) > _TURNING) & np.isfinite(motion.effort))
@@ -369,6 +371,12 @@ def fit_effort(data: ExcitationLog, joint: int, *, own: bool = False) -> LinearF
     design[:, WIDTH], design[:, SOFTNESS] = motion.direction, motion.load
     if not own and data.arm.name not in CATALOGUE:
         design = np.hstack([design, _any_masses(data, motion, joint)[1]])
+    slow, fast = np.quantile(np.abs(design[:, LAG]), [0.05, 0.95])
+    design[:, LAG] *= fast > UNEVEN * slow
+    found = fit_trimmed(design, motion.effort, motion.cluster)
+    if found.estimate(LAG).low > 0.0:  # type: ignore[operator]
+        return found
+    design[:, LAG] = 0.0
     return fit_trimmed(design, motion.effort, motion.cluster)
 
 
