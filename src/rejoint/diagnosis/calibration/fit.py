@@ -21,7 +21,6 @@ from rejoint.arms.workspace import reach
 from rejoint.diagnosis.calibration.calibration import (
     ANYWHERE,
     ASKEW,
-    LEVEL,
     NOTHING,
     Belief,
     Calibration,
@@ -45,8 +44,6 @@ _HUBER = 0.05  # share of normal residuals for which the loss is linear
 _ROUNDS = 12  # of a descent with the noise and the weights as they were, at most
 _SMALL = 1e-4  # relative gain of a step, or of a round, after which the fit ends
 _STEP = 1e-6  # [m] and [rad] of numerical derivatives
-_TILT = np.radians(6.0)
-_DIRECTIONS, _QUICK = 8, 4
 
 
 @entity
@@ -158,7 +155,7 @@ class ToolProblem:
         return rigid.rows(out).misfit(solve(rigid.rows(~out), start).vector)
 
 
-def solve(problem: ToolProblem, start: Array, iterations: int = ITERATIONS) -> Fitted:
+def solve(problem: ToolProblem, start: Array) -> Fitted:
     """Iterate from ``start`` (k,), with the noise and the weights of the last iterate."""
     belief, vector = problem.belief, np.array(start, dtype=float)
     free, cost, root = belief.upper > belief.lower, np.inf, np.linalg.cholesky(belief.precision).T
@@ -189,11 +186,11 @@ def solve(problem: ToolProblem, start: Array, iterations: int = ITERATIONS) -> F
 
         begin = np.clip(vector[free], *bounds)
         found = least_squares(
-            residual, begin, derivative, bounds, x_scale="jac", max_nfev=iterations, ftol=_SMALL, xtol=_SMALL
+            residual, begin, derivative, bounds, x_scale="jac", max_nfev=ITERATIONS, ftol=_SMALL, xtol=_SMALL
         )
         vector, before, cost = whole(found.x), cost, found.cost
         curvature[np.ix_(free, free)] = found.jac.T @ found.jac
-        if iterations < ITERATIONS or abs(before - cost) <= _SMALL * (1.0 + cost):
+        if abs(before - cost) <= _SMALL * (1.0 + cost):
             break
     return _fitted(problem, vector, curvature)
 
@@ -205,22 +202,6 @@ def _fitted(problem: ToolProblem, vector: Array, curvature: Array) -> Fitted:
     spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2))).sum()
     evidence = -cost + spread + 0.5 * (np.linalg.slogdet(own)[1] - np.linalg.slogdet(curvature)[1])
     return Fitted(vector=vector, covariance=np.asarray(np.linalg.inv(curvature), dtype=float), evidence=float(evidence))
-
-
-def search(problem: ToolProblem) -> Fitted:
-    """Solve; where the base may be tilted also from tilted bases: a slight tilt moves a floating joint."""
-    upright = solve(problem, problem.belief.mean)
-    tilt = problem.layout.at("tilt")
-    if problem.belief.precision[tilt.start, tilt.start] > LEVEL**-2.0 / 2:
-        return upright
-    turns = np.linspace(0.0, 2 * np.pi, _DIRECTIONS, endpoint=False)
-    best = upright
-    for lean in _TILT * np.stack([np.cos(turns), np.sin(turns)], axis=-1):
-        start = upright.vector.copy()
-        start[tilt] = lean
-        quick = solve(problem, start, _QUICK)
-        best = quick if quick.evidence > best.evidence else best
-    return upright if best is upright else solve(problem, best.vector)
 
 
 FOLDS = 12
@@ -339,8 +320,8 @@ def earlier(arm: Arm, prior: Calibration, outside: Array = NOTHING) -> Belief:
 
 def likeliest(problem: ToolProblem, beliefs: list[Belief]) -> tuple[ToolProblem, Fitted]:
     """Solve a problem under each prior; return the likeliest."""
-    tried = [replace(problem, belief=one) for one in beliefs]
-    return max(zip(tried, map(search, tried), strict=True), key=lambda each: each[1].evidence + each[0].belief.odds)
+    tried = [(replace(problem, belief=one), solve(replace(problem, belief=one), one.mean)) for one in beliefs]
+    return max(tried, key=lambda each: each[1].evidence + each[0].belief.odds)
 
 
 def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
