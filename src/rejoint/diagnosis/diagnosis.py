@@ -364,7 +364,7 @@ def _grown(measurement: Measurement, healthy: HealthyReference | None) -> list[s
 
 def _by_effort(measurement: Measurement, grown: list[str] | None) -> str:
     def said(found: Estimate | None, unit: str) -> str:
-        return f"{found.value:.3g}{unit} ({found.low:.3g} to {found.high:.3g})" if found else "none by speed"
+        return f"{found.value:.3g}{unit} ({found.low:.3g} to {found.high:.3g})" if found else "none seen by speed"
 
     unit = f" {measurement.effort_unit}" if measurement.effort_unit else ""
     rows = measurement.joints

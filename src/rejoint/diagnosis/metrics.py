@@ -372,9 +372,8 @@ def fit_effort(data: ExcitationLog, joint: int, *, own: bool = False) -> LinearF
     if not own and data.arm.name not in CATALOGUE:
         design = np.hstack([design, _any_masses(data, motion, joint)[1]])
     slow, fast = np.quantile(np.abs(design[:, LAG]), [0.05, 0.95])
-    design[:, LAG] *= fast > UNEVEN * slow
     found = fit_trimmed(design, motion.effort, motion.cluster)
-    if found.estimate(LAG).low > 0.0:  # type: ignore[operator]
+    if own or (fast > UNEVEN * slow and found.estimate(LAG).low > 0.0):  # type: ignore[operator]
         return found
     design[:, LAG] = 0.0
     return fit_trimmed(design, motion.effort, motion.cluster)
