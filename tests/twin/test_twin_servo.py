@@ -3,14 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from rejoint.arms import mycobot280
-from rejoint.logs.exclusions import TORQUE_OFF, powered, unpowered_joints
+from rejoint.logs.exclusions import powered, unpowered_joints
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.parameters import nominal_parameters
-from rejoint.twin.replay import GAIN, Replay, at_gain, cut, gains, recorded_gain
+from rejoint.twin.replay import Replay, cut, recorded_gain
 from rejoint.twin.simulation import ChainBatch, Draw
 from rejoint.twin.table import TableBatch
 
@@ -48,21 +47,17 @@ def test_friction_that_grows_with_load_is_that_of_mujoco():
     assert np.abs(ours - judge).max() < 0.012 * np.abs(ours - plain).max()
 
 
-def test_a_log_is_replayed_at_the_gain_that_it_records_unless_it_declares_another():
+def test_a_log_is_replayed_at_the_gain_that_it_records():
     weak, strong = log("weak", 100.0), log("strong", 400.0)
-    assert_array_equal(recorded_gain([weak, strong]), np.full(ARM.joints, 400.0))
-    told = at_gain([weak, strong, replace(weak, extra={GAIN: "3"})], recorded_gain([weak, strong]))
-    assert_allclose([gains(one)[0] for one in told], [0.25, 1.0, 3.0])
+    gain = recorded_gain([weak, strong])
+    assert_array_equal(gain, np.full(ARM.joints, 400.0))
     soft = replace(RUBBING, stiffness=0.25 * RUBBING.stiffness)
-    as_declared = Replay(ARM, cut(told[:1], 9.0)).predict(RUBBING.repeat(1))
-    assert_allclose(as_declared, Replay(ARM, cut([weak], 9.0)).predict(soft.repeat(1)))
+    recorded = Replay(ARM, cut([weak], 9.0), gain=gain).predict(RUBBING.repeat(1))
+    assert_allclose(recorded, Replay(ARM, cut([weak], 9.0)).predict(soft.repeat(1)))
 
 
-@pytest.mark.parametrize("declared", [False, True])
-def test_a_log_without_torque_at_its_end_is_cut_there_and_keeps_its_name(declared):
-    gain = np.where(np.arange(200) < 150, 100.0, 100.0 if declared else 0.0)[:, None]
-    one = log("drop", gain)
-    one = replace(one, extra={TORQUE_OFF: "2.99-9"}) if declared else one
+def test_a_log_without_torque_at_its_end_is_cut_there_and_keeps_its_name():
+    one = log("drop", np.where(np.arange(200) < 150, 100.0, 0.0)[:, None])
     (kept,) = powered(ARM, [one])
     assert (kept.label, len(kept)) == ("drop", 150)
     limp = np.where(np.arange(200)[:, None] < 150, one.position, 9.0 * np.sin(5.0 * one.time)[:, None])

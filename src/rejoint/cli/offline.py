@@ -24,6 +24,7 @@ from rejoint.runs.run import RUNS, Run
 from rejoint.session.inputs import arm_of_twin, run_of_twin, settled
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
+from rejoint.system.numbers import as_positive
 from rejoint.system.shell import command
 
 if TYPE_CHECKING:
@@ -60,14 +61,12 @@ def read_sets(published: list[str] | None, arm: Arm) -> list[Candidate]:
     return found
 
 
-def by_motion(given: list[str] | None) -> dict[str, str]:
-    """Read MOTION=VALUE; InputError for anything else."""
-    found: dict[str, str] = {}
+def by_motion(given: list[str] | None) -> dict[str, float]:
+    """Read MOTION=NUMBER; InputError for anything else."""
+    found = {}
     for one in given or []:
         name, _, value = one.rpartition("=")
-        if not (name and value):
-            raise InputError(f"{one!r}: expected MOTION=VALUE")
-        found[name] = f"{found[name]} {value}" if name in found else value
+        found[name] = as_positive(f"the gain of motion {name!r}", value, "MOTION=NUMBER")
     return found
 
 

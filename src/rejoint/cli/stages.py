@@ -190,22 +190,20 @@ def identify(
     published: list[str] | None = None,
     hold_out: list[str] | None = None,
     gain: list[str] | None = None,
-    torque_off: list[str] | None = None,
     seed: int | None = None,
 ) -> object:
     """Fit a digital twin to the logs of a run or others; then write the report."""
     require("rejoint identify", "train", *(() if logs is None else ("report",)))  # logs end in a report at once
-    if (run is None) == (logs is None) or (run is not None and any((folder, published, hold_out, gain, torque_off))):
+    if (run is None) == (logs is None) or (run is not None and any((folder, published, hold_out, gain))):
         raise InputError(
-            "identify takes either a run folder alone or --logs FOLDER, and with it --run, --published, --hold-out, "
-            "--gain and --torque-off"
+            "identify takes either a run folder alone or --logs FOLDER, and with it --run, --published, --hold-out "
+            "and --gain"
         )
     job = Run.open(run) if run is not None else call.job(source_of(logs or ""), folder, seed or 0)
     plan = rejoint.LogPlan(
         beside=offline.read_sets(published, job.arm),
         hold_out=None if not hold_out else [name for name in hold_out if name != "none"],
         gain=offline.by_motion(gain),
-        torque_off=offline.by_motion(torque_off),
     )
     twin = call.do(rejoint.identify, logs, run=job, plan=plan, seed=seed)
     value = {"run": job.path, "twin": job.folder.twin, **picked(twin, "held_out", "notes")}

@@ -48,8 +48,8 @@ STALE_TIME = 0.5
 STALE_MOTION = np.radians(6.0)
 """[rad] of that command (chosen: more than friction hides)"""
 
-UNPOWERED, TORQUE_OFF = "unpowered", "torque_off"
-"""Keys in ``extra`` for joints without torque, and for spans [s] without: ``3-7.5 12-14``"""
+UNPOWERED = "unpowered"
+"""Key in ``extra`` for joints without torque"""
 ASKED = np.radians(3.0)
 """[rad] least travel of a command (chosen)"""
 ANSWERED = 0.1
@@ -174,12 +174,11 @@ def powered(arm: Arm, logs: Sequence[RunLog]) -> list[RunLog]:
     """
     found = []
     for log in _within_ends(arm, logs):
-        extra = {key: value for key, value in log.extra.items() if key != TORQUE_OFF}
         edges = np.flatnonzero(np.diff(_off(log), prepend=True, append=True)).reshape(-1, 2).tolist()
         pieces = [log.rows(slice(a, b)) for a, b in edges if b - a > 2]
         for number, piece in enumerate(pieces, start=1):
             label = f"{log.label} ({number})" if len(pieces) > 1 else log.label
-            found.append(replace(piece, label=label, extra=extra))
+            found.append(replace(piece, label=label))
     if not found:
         raise InputError(f"{logs[0].label}: no row in which all joints have torque")
     # in one log, few goals agree by chance
@@ -201,31 +200,8 @@ def _within_ends(arm: Arm, logs: Sequence[RunLog]) -> list[RunLog]:
 
 def _off(log: RunLog) -> Mask:
     """Rows (T,) without torque of a joint that has it in others, or declared."""
-    since, off = log.time - log.time[0], np.zeros(len(log), dtype=bool)
-    if log.gain is not None:
-        off |= ((log.gain == 0.0) & log.gain.any(axis=0)).any(axis=1)
-    for first, last in spans_off(log):
-        off |= (since >= first) & (since <= last)
-    return off
-
-
-def spans_off(log: RunLog) -> list[tuple[float, float]]:
-    """Read the spans [s] without torque."""
-    spans = []
-    for word in log.extra.get(TORQUE_OFF, "").replace(",", " ").split():
-        ends = numbers(log, TORQUE_OFF, word.split("-"))
-        if len(ends) != 2 or not 0.0 <= ends[0] < ends[1]:
-            raise InputError(f"{log.label}: {TORQUE_OFF} {word!r}, expected seconds from and to, such as 3-7.5")
-        spans.append((float(ends[0]), float(ends[1])))
-    return spans
-
-
-def numbers(log: RunLog, key: str, words: Sequence[str]) -> Array:
-    """Read what a log declares as ``key``; InputError."""
-    try:
-        return np.array(words, dtype=float)
-    except ValueError as error:
-        raise InputError(f"{log.label}: {key} {' '.join(words)!r} is not a number") from error
+    gain = np.ones_like(log.position) if log.gain is None else log.gain
+    return np.asarray(((gain == 0.0) & gain.any(axis=0)).any(axis=1))
 
 
 def answered(log: RunLog) -> RunLog:

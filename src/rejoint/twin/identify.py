@@ -37,13 +37,11 @@ from rejoint.twin.parameters import (
     unpack,
 )
 from rejoint.twin.replay import (
-    GAIN,
     MOSTLY,
     SHORTEST_STRETCH,
     VELOCITY,
     Replay,
     Window,
-    at_gain,
     cut,
     cut_windows,
     durations,
@@ -289,9 +287,9 @@ def identify_logs(
     for log in logs:
         log.require(arm)
     logs = [answered(log) for log in powered(arm, logs)]
-    gain = recorded_gain([log for log in logs if GAIN not in log.extra])
-    seen, unseen = part(arm, logs, settings.hold_out, settings.seed)  # each twin replays these at its own gain
-    motions = Motions(arm, at_gain(seen, gain), settings, table_height(arm, seen))
+    gain = recorded_gain(logs)
+    seen, unseen = part(arm, logs, settings.hold_out, settings.seed)
+    motions = Motions(arm, seen, settings, table_height(arm, seen), gain)
     on_progress(0.0, "search")
     structure, start = motions.find_structure(on_progress)
     on_progress(0.5, "fit")
@@ -312,7 +310,7 @@ def identify_logs(
     if settings.hold_out != ():
         alike = bool(np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY)
         note, missing = REFITTED, [REPEATED] * alike
-        motions = replace(motions, logs=sorted(at_gain(logs, gain), key=lambda log: log.label))
+        motions = replace(motions, logs=sorted(logs, key=lambda log: log.label))
         problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
     on_progress(0.9, "intervals")
     doubt, held_out = sag_doubt(motions.data), _held_out(judgement)
@@ -336,6 +334,8 @@ class Motions:
     settings: LogSettings
     height: float | None = None
     """[m] of the tip on a table; None without contact"""
+    gain: Array | None = None
+    """(n,) P gain that the stiffness is for"""
 
     @cached_property
     def excluded(self) -> Sequence[Exclusions]:
@@ -364,7 +364,7 @@ class Motions:
 
     def problem(self, windows: Sequence[Window], structure: Structure, stride: float = STRIDE) -> Problem:
         """Make the problem of some windows."""
-        replay = Replay(self.arm, windows, TIMESTEP, structure.acceleration)
+        replay = Replay(self.arm, windows, TIMESTEP, structure.acceleration, self.gain)
         return Problem(replay, structure.prior, structure.frozen, stride, FREEDOM)
 
     def find_structure(self, on_progress: Progress = no_progress) -> tuple[Structure, Array]:

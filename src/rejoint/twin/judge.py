@@ -26,7 +26,7 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import Number, Positive, Table, read_toml
 from rejoint.system.records import value_type
 from rejoint.twin.parameters import PARAMETERS, TwinParameters, unknown_prior, unpack
-from rejoint.twin.replay import MOVED, Replay, Window, at_gain, in_force
+from rejoint.twin.replay import MOVED, Replay, Window, in_force
 from rejoint.twin.twin import (
     NO_TWIN,
     Errors,
@@ -96,8 +96,7 @@ def judge(arm: Arm, paths: list[dict[str, Array]], logs: Sequence[RunLog], *, ta
 
 def _path(arm: Arm, candidate: Candidate, log: RunLog) -> Array:
     tables = [] if candidate.table is None else [candidate.table]
-    (log,) = at_gain([log], candidate.gain)
-    replay = Replay(arm, [Window(log=log, first=0, last=len(log))], TIMESTEP, candidate.acceleration)
+    replay = Replay(arm, [Window(log=log, first=0, last=len(log))], TIMESTEP, candidate.acceleration, candidate.gain)
     return replay.predict(candidate.parameters.repeat(1), tables)[0]
 
 

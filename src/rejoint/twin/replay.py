@@ -7,7 +7,7 @@ stay at the measured position.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress, pairwise
@@ -21,7 +21,7 @@ from rejoint.arms import Arm, Array, Index, Mask, gravity_torque
 from rejoint.control.correction import rms
 from rejoint.control.servoreference import ServoReference
 from rejoint.logs.consistency import refuse_copies
-from rejoint.logs.exclusions import Exclusions, find_exclusions, free_runs, numbers, spans_off, table_height, velocity
+from rejoint.logs.exclusions import Exclusions, find_exclusions, free_runs, table_height, velocity
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import interpolated
@@ -86,6 +86,8 @@ class Replay:
     windows: Sequence[Window]
     timestep: float = TIMESTEP
     acceleration: float = np.inf
+    gain: Array | None = None
+    """(n,) P gain that the stiffness is for; None: that of the logs"""
 
     def __post_init__(self) -> None:
         for w in self.windows:
@@ -130,11 +132,16 @@ class Replay:
     @cached_property
     def _start(self) -> Array:
         """(3, windows, n) first positions [rad] and speeds [rad/s], and gains."""
-        of_logs = {
-            log: np.stack(np.broadcast_arrays(log.position, velocity(log.time, log.position, VELOCITY), gains(log)))
-            for log in {w.log for w in self.windows}
-        }
+        of_logs = {}
+        for log in {w.log for w in self.windows}:
+            rate = velocity(log.time, log.position, VELOCITY)
+            of_logs[log] = np.stack(np.broadcast_arrays(log.position, rate, self._gain(log)))
         return np.stack([of_logs[w.log][:, w.first] for w in self.windows], axis=1)
+
+    def _gain(self, log: RunLog) -> Array:
+        """Position gain (n,) of a log's servos over the twin's."""
+        own = recorded_gain([log])
+        return np.ones(self.arm.joints) if own is None or self.gain is None else own / self.gain
 
     @cached_property
     def _grid(self) -> Array:
@@ -212,48 +219,10 @@ class Replay:
         return gravity_torque(self.arm, np.stack(paths))[:, None]
 
 
-GAIN = "gain"
-"""Key in `RunLog.extra`"""
-
-
-def declare(logs: Sequence[RunLog], key: str, values: Mapping[str, str]) -> list[RunLog]:
-    """Give named logs their ``key``; InputError for an unknown log."""
-    unknown = sorted(set(values) - {log.label for log in logs})
-    if unknown:
-        raise InputError(
-            f"{key}: there is no motion {', '.join(unknown)}; there are {', '.join(x.label for x in logs)}"
-        )
-    found = [replace(x, extra={**x.extra, key: values[x.label]}) if x.label in values else x for x in logs]
-    for log in found:
-        gains(log)
-        spans_off(log)
-    return found
-
-
-def gains(log: RunLog) -> Array:
-    """Position gain of the servos over the twin's, (n,), or (1,) of all."""
-    n = len(log.joint_names)
-    found = numbers(log, GAIN, log.extra.get(GAIN, "1").replace(",", " ").split())
-    if len(found) not in (1, n) or (found <= 0).any():
-        raise InputError(f"{log.label}: {GAIN} {log.extra[GAIN]!r}, expected one number above zero, or {n}")
-    return found
-
-
 def recorded_gain(logs: Sequence[RunLog]) -> Array | None:
     """Largest P gain (n,) that logs record, in the servo's unit; None without any."""
     known = [log.gain.max(axis=0) for log in logs if log.gain is not None and (log.gain.max(axis=0) > 0.0).all()]
     return np.max(known, axis=0) if known else None
-
-
-def at_gain(logs: Sequence[RunLog], reference: Array | None) -> list[RunLog]:
-    """Declare recorded P gains over ``reference`` (n,), unless logs declare their own."""
-    found = []
-    for log in logs:
-        own = recorded_gain([log])
-        if own is not None and reference is not None and GAIN not in log.extra:
-            log = replace(log, extra=log.extra | {GAIN: " ".join(map(str, own / reference))})
-        found.append(log)
-    return found
 
 
 MOVED = np.radians(2.0)

@@ -163,7 +163,7 @@ def test_a_policy_whose_period_does_not_suit_is_left_out_or_refused():
     assert [row.controller for row in found.rows] == ["integrator"]
     assert {trial.key.controller for trial in trials} == {"integrator"}
     (said,) = found.left_out
-    assert said.startswith("policy did not take part: the control period is 25 ms, and this controller is made for 40")
+    assert said.startswith("policy did not take part: the control period is 25 ms, this controller is made for 40")
     assert on(factories("integrator") | {"policy": quick}, leave_out=True).left_out == ()
     trials.clear()
     for controllers, settings in (

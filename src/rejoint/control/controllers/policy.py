@@ -145,7 +145,7 @@ def check_controller_period(controller: object, period: float) -> None:
     low, high = contract.min_period / PERIOD_MARGIN, contract.max_period * PERIOD_MARGIN
     if not low <= period <= high:
         raise ContractError(
-            f"the control period is {1e3 * period:.0f} ms, and this controller is made for {1e3 * contract.min_period:.0f} "
+            f"the control period is {1e3 * period:.0f} ms, this controller is made for {1e3 * contract.min_period:.0f} "
             f"to {1e3 * contract.max_period:.0f} ms; use a faster link or another --period"
         )
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from rejoint.arms import Array
 from rejoint.control.controllers.policy import Policy
 from rejoint.control.recording import Observer, pacing
@@ -16,7 +18,7 @@ from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, d
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import remarks_on, require_commands
-from rejoint.logs.exclusions import TORQUE_OFF, answered, powered
+from rejoint.logs.exclusions import answered, powered
 from rejoint.logs.runfolder import LOGS
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run, exclusive, mark_quick
@@ -42,7 +44,6 @@ from rejoint.system.files import saving, set_aside, write_json
 from rejoint.system.numbers import as_seed
 from rejoint.system.records import Readable, as_options, entity
 from rejoint.system.stopping import noted
-from rejoint.twin.replay import GAIN, declare
 
 if TYPE_CHECKING:
     from rejoint.training.task import Preset
@@ -59,10 +60,8 @@ class LogPlan:
     """other twins to judge"""
     hold_out: Sequence[str] | None = None
     """motions to hold out; empty: none; default: a quarter of all, or of each of a few"""
-    gain: Mapping[str, str] = field(default_factory=dict)
-    """servos' position gain over the twin's: ``"0.5"``, or one number per joint"""
-    torque_off: Mapping[str, str] = field(default_factory=dict)
-    """[s] spans without torque: ``"3-7.5 12-14"``"""
+    gain: Mapping[str, float] = field(default_factory=dict)
+    """P gain of the servos in motions; all others have 1; the twin has the largest"""
 
 
 def identify(
@@ -121,7 +120,7 @@ def identify(
             about, chosen = run_of_logs(run, logs, arm)
             stack.enter_context(exclusive(about))
             predict_logs(chosen, what.beside, [])  # twins of one name are refused now, and not after the fit
-            motions = declare(declare(as_logs(logs), GAIN, what.gain), TORQUE_OFF, what.torque_off)
+            motions = _at_gains(as_logs(logs), what.gain)
             require_commands(motions, "identification")
         elif run is not None:
             about = opened(run, arm)
@@ -150,6 +149,13 @@ def identify(
             if twin.judgement is not None:
                 write_json(about.folder.judgement, twin.judgement)
         return twin
+
+
+def _at_gains(logs: list[RunLog], gain: Mapping[str, float]) -> list[RunLog]:
+    names = [log.label for log in logs]
+    if unknown := sorted(set(gain) - set(names)):
+        raise InputError(f"gain: there is no motion {', '.join(unknown)}; there are {', '.join(names)}")
+    return [replace(x, gain=np.full_like(x.position, gain.get(x.label, 1.0))) for x in logs] if gain else logs
 
 
 TWIN = "twin"
