@@ -13,7 +13,6 @@ from rejoint.arms.rotations import REACHED_TURN
 from rejoint.cli.console import Shown
 from rejoint.control.comparison.recommend import failure
 from rejoint.control.servogains import in_words
-from rejoint.diagnosis.calibration.calibration import OFFSET
 from rejoint.diagnosis.calibration.fit import DISTURBED, disturbed, fitting
 from rejoint.logs.runfolder import Effort, cost
 from rejoint.pages.words import grouped, plural
@@ -66,10 +65,8 @@ def calibration(found: rejoint.Calibrated) -> Shown:
             else filmed.residuals[row].name
         )
         yield f"  ! {name} does not fit to the others: read wrong, or pushed? Measure it again."
-    offset, sigma = own.displacement.offset, np.sqrt(np.diag(own.covariance))[own.layout.at("offset")]
-    for joint in np.flatnonzero(np.abs(offset) > 3.0 * (OFFSET + sigma)):
-        name = own.arm.joint_names[joint]
-        yield f"  ! The zero of {name} is {np.degrees(offset[joint]):.1f} deg off. Set it again, then calibrate again."
+    for joint, offset in own.wrong_zeros.items():
+        yield f"  ! The zero of {joint} is {np.degrees(offset):.1f} deg off. Set it again, then calibrate again."
     if disturbed(own.suspects, own.points):
         yield f"  ! {DISTURBED}"
     if filmed is not None:

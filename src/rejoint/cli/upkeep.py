@@ -95,7 +95,7 @@ def calibrate(
             call.message(f"{scouts} pictures come first, about the rest posture. Shift neither camera nor board.")
         about |= {"robot": robot, "gauge": gauge, "count": count, "visits": visits}
     found = call.do(rejoint.calibrate, **about)
-    if found.calibration.used:
+    if found.calibration.used and not found.calibration.wrong_zeros:
         call.next(command("deploy", robot, run))
     value = {
         "run": run,

@@ -231,6 +231,7 @@ def checked(arm: Arm, target: Array, aim: Array) -> Array:
     far, most = norm(aim - target, axis=-1).max(initial=0.0), most_shift(arm)
     if not far <= most:
         raise InputError(
-            f"calibration: it shifts a target by {1e3 * far:.0f} mm, expected at most {1e3 * most:.0f}; calibrate again"
+            f"calibration: it shifts a target by {1e3 * far:.0f} mm, expected at most {1e3 * most:.0f}; set wrong "
+            "zeros of joints again, and calibrate again"
         )
     return aim

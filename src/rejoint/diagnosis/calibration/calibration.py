@@ -270,6 +270,13 @@ class Calibration(Readable):
         """Places of the parameters in the covariance."""
         return DisplacementLayout(self.arm)
 
+    @property
+    def wrong_zeros(self) -> dict[str, float]:
+        """Offsets [rad] that no healthy joint has."""
+        offset, sigma = self.displacement.offset, np.sqrt(np.diag(self.covariance))[self.layout.at("offset")]
+        wrong = np.flatnonzero(np.abs(offset) > 3.0 * (OFFSET + sigma))
+        return {self.arm.joint_names[joint]: float(offset[joint]) for joint in wrong}
+
     def require(self, arm: Arm) -> None:
         """Raise ContractError for another arm."""
         check_arm(self.arm.name, geometry_of(self.arm), arm)
