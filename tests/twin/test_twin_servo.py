@@ -6,10 +6,10 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from rejoint.arms import mycobot280
-from rejoint.logs.exclusions import powered, unpowered_joints
+from rejoint.logs.exclusions import powered, recorded_gain, unpowered_joints
 from rejoint.logs.runlog import RunLog
 from rejoint.twin.parameters import nominal_parameters
-from rejoint.twin.replay import Replay, cut, recorded_gain
+from rejoint.twin.replay import Replay, cut
 from rejoint.twin.simulation import ChainBatch, Draw
 from rejoint.twin.table import TableBatch
 

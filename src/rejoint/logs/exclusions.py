@@ -204,6 +204,12 @@ def _off(log: RunLog) -> Mask:
     return np.asarray(((gain == 0.0) & gain.any(axis=0)).any(axis=1))
 
 
+def recorded_gain(logs: Sequence[RunLog]) -> Array | None:
+    """Largest P gain (n,) that logs record, in the servo's unit; None without any."""
+    known = [log.gain.max(axis=0) for log in logs if log.gain is not None and (log.gain.max(axis=0) > 0.0).all()]
+    return np.max(known, axis=0) if known else None
+
+
 def answered(log: RunLog) -> RunLog:
     """Give joints that never answer, or had no torque, their position as command, and declare them."""
     names = unpowered_joints(log)

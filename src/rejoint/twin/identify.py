@@ -17,7 +17,15 @@ from rejoint.control.correction import tool_error
 from rejoint.diagnosis.measurement import sag_doubt
 from rejoint.diagnosis.segments import ExcitationLog, join_logs
 from rejoint.logs.columns import ZEROS
-from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, powered, table_height, velocity
+from rejoint.logs.exclusions import (
+    Exclusions,
+    answered,
+    find_exclusions,
+    powered,
+    recorded_gain,
+    table_height,
+    velocity,
+)
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
@@ -47,7 +55,6 @@ from rejoint.twin.replay import (
     durations,
     farthest,
     part,
-    recorded_gain,
     repeated,
     thin,
 )

@@ -21,7 +21,7 @@ from rejoint.arms import Arm, Array, Index, Mask, gravity_torque
 from rejoint.control.correction import rms
 from rejoint.control.servoreference import ServoReference
 from rejoint.logs.consistency import refuse_copies
-from rejoint.logs.exclusions import Exclusions, find_exclusions, free_runs, table_height, velocity
+from rejoint.logs.exclusions import Exclusions, find_exclusions, free_runs, recorded_gain, table_height, velocity
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.numbers import interpolated
@@ -217,12 +217,6 @@ class Replay:
         starts = [(w.log, w.log.time[w.first]) for w in self.windows]
         paths = [interpolated(start + self._grid, log.time, log.command) for log, start in starts]
         return gravity_torque(self.arm, np.stack(paths))[:, None]
-
-
-def recorded_gain(logs: Sequence[RunLog]) -> Array | None:
-    """Largest P gain (n,) that logs record, in the servo's unit; None without any."""
-    known = [log.gain.max(axis=0) for log in logs if log.gain is not None and (log.gain.max(axis=0) > 0.0).all()]
-    return np.max(known, axis=0) if known else None
 
 
 MOVED = np.radians(2.0)

@@ -6,13 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
+import numpy as np
+
 from rejoint.arms import Arm
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.servogains import gains_in_force
 from rejoint.diagnosis.diagnosis import Diagnosis, diagnose_logs, judge
-from rejoint.diagnosis.excitation import record
-from rejoint.diagnosis.healthy import HealthyReference, healthy_reference, reference_by
+from rejoint.diagnosis.excitation import DiagnosisLogs, record
+from rejoint.diagnosis.healthy import MEASURED, HealthyReference, healthy_reference, reference_by
 from rejoint.diagnosis.verdict import Finding
+from rejoint.logs.exclusions import recorded_gain
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.history import summarise
@@ -121,8 +124,12 @@ def diagnose(
         chosen = settled(settings, kept, None)[0]
         with pacing(observer) as update, exclusive(kept):
             name, own = source_of(given) if kept is None else kept.robot, to_keep(chosen).laden(known)
-            reference = _known_good(known, healthy) or healthy_reference(own)
-            told = diagnose_logs(own, as_logs(given), reference, source=name, on_progress=update)
+            motions = as_logs(given)
+            if (p := recorded_gain(motions)) is None:
+                p = np.full(own.joints, MEASURED[0])  # unknown: nothing is too soft that is none with LeRobot's
+            servos = {"p": tuple(p.astype(int).tolist())}
+            reference = _known_good(known, healthy) or healthy_reference(own, gains=servos)
+            told = diagnose_logs(own, motions, reference, source=name, on_progress=update)
             if kept is not None:
                 write_json(kept.begin().folder.diagnosis, told)
                 keep(kept, chosen)
@@ -140,6 +147,11 @@ def diagnose(
         with session.metered("diagnose") as driven:
             gains = gains_in_force(driven)
             (logs,) = record(driven, seed=session.seed, on_progress=update)
+            if gains is not None:
+                with_p = {
+                    name: replace(log, gain=np.full_like(log.position, gains["p"])) for name, log in vars(logs).items()
+                }
+                logs = DiagnosisLogs(**with_p)
             if reference is None:
                 volts = driven.read().voltage
                 reference = healthy_reference(driven.arm, address_of(robot), gains, None if volts is None else volts[0])
