@@ -47,6 +47,7 @@ from rejoint.twin.parameters import (
 from rejoint.twin.replay import (
     MOSTLY,
     SHORTEST_STRETCH,
+    STILL_SPEED,
     VELOCITY,
     Replay,
     Window,
@@ -89,9 +90,6 @@ SAGLESS = ("delay", "ramp_speed")
 
 LIGHT_SAG = 1e-3
 """[rad] sag of a joint whose offset shows without its stiffness; chosen"""
-
-STILL_SPEED = 0.03
-"""[rad/s] of a still joint; chosen"""
 
 SHORTEST_EXCITATION, SHORTEST = 20.0, 10.0
 """[s] least motion, and least free motion; chosen"""

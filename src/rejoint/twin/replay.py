@@ -270,6 +270,8 @@ FOLDS = 4
 """One of as many programs is held out; chosen"""
 FEWEST_OUT = 2
 """Motions held out; chosen: an interval takes two"""
+STILL_SPEED = 0.03
+"""[rad/s] of joints at rest; chosen"""
 KEPT_END = 0.25
 """Share of a motion held out, halved until `MOSTLY` is left; chosen"""
 GRID, STEPS = 0.2, 10
@@ -325,7 +327,7 @@ def _programs(logs: Sequence[RunLog]) -> list[list[RunLog]]:
 
 def _ends(logs: Sequence[RunLog]) -> tuple[list[RunLog], list[RunLog]]:
     for halvings in (0, 1, 2, 3, 4, 0):  # where even a short end repeats all the rest, as without a repetition
-        cuts = [int(len(log) * (1.0 - KEPT_END * 0.5**halvings)) for log in logs]
+        cuts = [_cut(log, 1.0 - KEPT_END * 0.5**halvings) for log in logs]
         seen = [log.rows(slice(0, cut)) for log, cut in zip(logs, cuts, strict=True)]
         ends = [log.rows(slice(cut, None)) for log, cut in zip(logs, cuts, strict=True)]
         fresh = [
@@ -338,6 +340,14 @@ def _ends(logs: Sequence[RunLog]) -> tuple[list[RunLog], list[RunLog]]:
             seen = fresh
             break
     return seen, [replace(end, label=f"{end.label} (end)") for end in ends]
+
+
+def _cut(log: RunLog, share: float) -> int:
+    """First row after this ``share`` of the motion, on the grid of its commands."""
+    moves = np.abs(velocity(log.time, log.position, VELOCITY)).max(axis=1) > STILL_SPEED
+    passed, since = np.cumsum(moves + 1e-3), log.time - log.time[0]
+    steps = since[np.searchsorted(passed, share * passed[-1])] / GRID
+    return int(np.searchsorted(since, GRID * np.round(steps) - 1e-9))
 
 
 def repeated(logs: Sequence[RunLog], others: Sequence[RunLog]) -> list[Mask]:
