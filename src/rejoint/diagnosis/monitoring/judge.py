@@ -487,16 +487,18 @@ def _act(found: Outlook, worst: Change, repair: str) -> str:
     whose = f"the servo of {worst.joint}" if worst.joint else "the servos"
     if found.later:
         return "look at the connection and the computer (rejoint doctor)" + f", then {repair}" * found.over
-    if worst.better:
-        return (
-            f"if {whose} was changed or greased, or the hand carries another load, check with --moved --repeat 5; else "
-            f"play or a weaker motor may do it: {repair}"
-        )
+    act = f"{repair}; if the tool misses its tolerance then, change {whose}"
     if not found.over and found.state != "alarm":
-        return "check again within a week; no repair yet"
-    if worst.quantity == "deviation":
-        return f"look whether {worst.joint} has slipped or was set again (then check with --moved); else {repair}"
-    return f"{repair}; if the tool misses its tolerance then, change {whose}"
+        act = "check again within a week; no repair yet"
+    elif worst.quantity == "deviation":
+        act = f"look whether {worst.joint} has slipped or was set again (then check with --moved); else {repair}"
+    loaded = {one.joint for one in found.changes if one.state == found.state and one.quantity in ("sag", "deviation")}
+    if worst.better or len(loaded - {""}) > 1:  # wear lessens nothing, and comes to one joint at a time
+        return (
+            f"if the hand carries another load, the base stands otherwise, or {whose} was changed, check with --moved "
+            f"--repeat 5; else {act}"
+        )
+    return act
 
 
 def _day(time: datetime) -> str:
