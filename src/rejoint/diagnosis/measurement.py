@@ -172,10 +172,11 @@ def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None)
     delay = arm_delay(data)
     slow, fast = ([fit_law(data, joint, delay, fast=fast) for joint in range(arm.joints)] for fast in (False, True))
     ratios = [None if law is None else _inertia_ratio(law) for law in fast]
-    joints = []
+    late = [replace(one, start=one.start + delay, stop=one.stop + delay) for one in data.segments]
+    answers, joints = replace(data, segments=tuple(late)), []
     for joint, (k, motor) in enumerate(_stiffness(arm, slow, ratios, motors)):
         law, dynamics = slow[joint], fast[joint]
-        row = _row(data, joint, law, k)
+        row = _row(answers, joint, law, k)
         torque = {} if law is None or k is None else torque_given(data, joint, law, k.value, delay)
         damping = None if dynamics is None else _damping_ratio(dynamics)
         inertia = None if motor is None else motor.value

@@ -481,14 +481,14 @@ def noise(data: ExcitationLog, joint: int) -> Estimate | None:
     return Estimate(*((one or 0.0) ** 0.5 for one in (power.value, power.low, power.high)))
 
 
-LONGEST = 0.08
-"""[s] delay that is tried, or two periods of a slow bus; chosen"""
+LONGEST, SLOWEST = 0.08, 0.3
+"""[s] delay that is tried, or two periods of a slow bus, and beyond which no longer one is; chosen"""
 
 _USUAL_DELAY = 0.02
 """[s] where no joint moves; chosen"""
 
-_ONSET = 0.12
-"""[s] of a step that decide the delay; chosen"""
+_ONSET = 1.5
+"""Beginning of a step that decides, over the longest delay; chosen"""
 
 _STEP = 0.0025
 """[s] step of that simulation; chosen"""
@@ -515,16 +515,17 @@ _MIN_RATIO = 5e-5
 """[s^2] least trusted J/k: 22 Hz; chosen"""
 
 
-def arm_delay(data: ExcitationLog) -> float:
+def arm_delay(data: ExcitationLog, longest: float = LONGEST) -> float:
     """Delay [s] of commands and answers: lower quartile of the joints."""
-    found, delays = [], np.arange(0.005, max(LONGEST, 2.0 * data.log.period) + 1e-4, 0.005)
+    found, delays = [], np.arange(0.005, max(longest, 2.0 * data.log.period) + 1e-4, 0.005)
     for joint in range(data.arm.joints):
         motion = _motion(data, joint, delays)
         if len(motion.time) >= _MIN_WINDOWS:  # a joint that does not move has no time of its own
             fits = np.asarray(np.linalg.lstsq(motion.design, motion.error.T, rcond=None)[0].T)
             costs = _onset_costs(data, joint, delays, fits)
             found += [_lowest(delays, costs)] if np.isfinite(costs).any() else []
-    return np.quantile(found, 0.25) if found else _USUAL_DELAY
+    delay = np.quantile(found, 0.25) if found else _USUAL_DELAY
+    return arm_delay(data, 2.0 * longest) if delays[-1] <= delay < SLOWEST else delay
 
 
 def _lowest(delays: Array, cost: Array) -> float:
@@ -540,7 +541,7 @@ def _onset_costs(data: ExcitationLog, joint: int, delays: Array, fits: Array) ->
     """Squared errors (D,) of simulated step beginnings by laws (D, 5)."""
     log, steps = data.log, data.of_kind(STEP, joint)
     data.require(len(steps) >= 2, "steps", joint)
-    offsets = np.arange(0.0, max(_ONSET, 3.0 * log.period), _STEP)
+    offsets = np.arange(0.0, _ONSET * delays[-1], _STEP)
     time = np.array([s.start for s in steps])[:, None] + offsets  # (S, K)
     before = np.maximum(np.searchsorted(log.time, time[:, 0]) - 1, 0)
     start = log.position[before, joint]

@@ -150,11 +150,11 @@ PARAMETERS: tuple[Parameter, ...] = (
               "forward, or by which the model is too heavy",
               nominal=0.0, sigma=0.01, lower=-1.0, upper=1.0, log=False, fitted=False),
     Parameter(name="delay", unit="s", meaning="command latency plus age of the answer",
-              nominal=0.025, sigma=0.012, lower=0.0, upper=0.1, log=False, difference=0.004, per_joint=False,
+              nominal=0.025, sigma=0.012, lower=0.0, upper=0.2, log=False, difference=0.004, per_joint=False,
               beside=0.003,  # such as the filter of a servo's speed, and the step of the fit
               # chosen: a bus servo answers within a few periods; below zero where a position is read up to a period
               # of 20 ms later than its row is stamped
-              wide={"nominal": 0.01, "sigma": 0.015, "lower": -0.02, "upper": 0.2}),
+              wide={"nominal": 0.01, "sigma": 0.015, "lower": -0.02}),
     Parameter(name="ramp_speed", unit="rad/s", meaning="speed of the servo's reference",
               nominal=2.0, sigma=0.25, lower=0.5, upper=20.0, per_joint=False, by_speed=True,
               # chosen: faster than most motions, so that a ramp must show itself in the data
