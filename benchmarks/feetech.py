@@ -33,7 +33,7 @@ from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech import KIND
 from rejoint.robots.feetech.bus import FRAME, MEASURED, FeetechBus
 from rejoint.robots.wireserver import Finder
-from rejoint.runs.repair import connect
+from rejoint.session.session import connect
 from rejoint.system.errors import NoReplyError
 from rejoint.twin.judge import judge
 from rejoint.twin.twin import NO_TWIN

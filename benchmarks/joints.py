@@ -21,7 +21,7 @@ import numpy as np
 import rejoint
 from rejoint.arms import Arm, Array, JointTrajectory, gravity_torque, load_arm, plan, tcp_position
 from rejoint.control.guard import GuardLimits, clear_by
-from rejoint.session.session import ArmSession
+from rejoint.session.session import Session
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.research.evaluation.family import ArmFamily
@@ -54,7 +54,7 @@ def prepare(address: str, arm: Arm, run: Path) -> None:
             print(f"{run.name}: not calibrated: {error}")
 
 
-def moved(session: ArmSession, goals: Array) -> Array:
+def moved(session: Session, goals: Array) -> Array:
     """Joint errors (K, n) [deg] by the encoders after `move_joints`."""
     errors = []
     for goal in goals:
@@ -73,7 +73,7 @@ def hand_way(arm: Arm, start: Array, goal: Array) -> JointTrajectory:
     return plan(replace(arm, max_speed=0.5 * arm.max_speed), start, goal)
 
 
-def streamed(session: ArmSession, robot: EmulatedRobot, goals: Array) -> Array:
+def streamed(session: Session, robot: EmulatedRobot, goals: Array) -> Array:
     """Distances (2, K) [mm] of a tool from where the hand has it: as the stream sees it, and truly."""
     rng, errors, hand = np.random.default_rng(0), [], session.shown_joints()
     for goal in goals:

@@ -21,9 +21,7 @@ from rejoint.logs.runlog import RunLog as RunLog
 from rejoint.pages.live.view import LiveView as LiveView
 from rejoint.robots import open_robot as open_robot
 from rejoint.runs.repair import RepairPlan as RepairPlan
-from rejoint.runs.repair import Session as Session
 from rejoint.runs.repair import Stage as Stage
-from rejoint.runs.repair import connect as connect
 from rejoint.runs.repair import repair as repair
 from rejoint.runs.repair import report as report
 from rejoint.runs.run import Run as Run
@@ -51,6 +49,8 @@ from rejoint.session.motions import deploy as deploy
 from rejoint.session.motions import follow as follow
 from rejoint.session.motions import serve as serve
 from rejoint.session.session import ArmState as ArmState
+from rejoint.session.session import Session as Session
+from rejoint.session.session import connect as connect
 from rejoint.system.errors import AddressError as AddressError
 from rejoint.system.errors import ConnectionLostError as ConnectionLostError
 from rejoint.system.errors import ContractError as ContractError

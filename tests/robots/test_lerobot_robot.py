@@ -14,8 +14,8 @@ from commandline import JUDGE
 from emulatedservers import serve_bus
 from rejoint.arms import load_arm
 from rejoint.control.guard import MAX_PERIOD, GuardLimits
-from rejoint.runs.repair import connect
 from rejoint.runs.run import Run
+from rejoint.session.session import connect
 from rejoint.system.errors import InputError
 from rejoint_lab.emulator.feetech import StsArm
 

@@ -412,8 +412,3 @@ def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run
         assert arm.followed is None
         end = arm.move_to(WAVE[0], within_m=0.004)
         assert end.time_s < 200.0, "ten times along a circle take longer"
-
-
-def test_a_session_without_a_run_does_no_stages():
-    with connected() as arm, pytest.raises(rejoint.InputError, match="run=FOLDER"):
-        arm.diagnose()

@@ -13,7 +13,7 @@ from rejoint.arms.inertia import LoadedArm, Payload, loaded
 from rejoint.runs.run import Run, mark_quick
 from rejoint.session.driver import RehearsedRobot
 from rejoint.session.inputs import keep, settled
-from rejoint.session.session import ArmSession
+from rejoint.session.session import Session
 from runs.test_connect import HERE, WALL, a_twin
 
 ARM = mycobot280()
@@ -68,7 +68,7 @@ def test_a_run_keeps_the_settings_of_its_diagnosis_and_others_go_before_them(run
     assert (len(both.keep_out), both.period) == (2, other.period), "boxes add up"
     walled = Run.create(f"{run.path}-2", "emulated:worn", replace(ARM, keep_out=(WALL,)))
     for robot in ("emulated:worn", rejoint.open_robot("emulated:worn")):
-        assert len(ArmSession(robot, run=walled, arm=walled.arm).arm.keep_out) == 1
+        assert len(Session(robot, run=walled, arm=walled.arm).arm.keep_out) == 1
     own = settled(None, run, rejoint.open_robot("emulated:worn"))[0]
     assert own.payload is own.tool is None, "an open robot has its own"
     assert own.period == GIVEN.period
@@ -127,16 +127,16 @@ def test_what_an_arm_does_is_recorded_in_motions_and_between(run):
     np.testing.assert_array_equal(whole.position, taken.log.position)
 
 
-def test_a_session_does_its_stages_with_the_load_that_it_was_told_and_drives_by_what_they_find(tmp_path, few_targets):
+def test_a_session_drives_by_what_the_stages_find_with_the_load_that_the_run_was_told(tmp_path, few_targets):
     run = Run.create(tmp_path, "emulated:worn", ARM)
-    told = rejoint.Settings(payload=0.05, keep_out=[WALL])
-    with rejoint.connect("emulated:worn", run=run, settings=told) as arm:
-        assert "joint" in arm.diagnose(quick=True).verdict
-        assert arm.identify().arm == ARM.name
-        target = HERE
-        arm.compare(["default", "predictive"], [target], plan=rejoint.TrialPlan(repetitions=1))
+    stage = {"run": run, "settings": rejoint.Settings(payload=0.05, keep_out=[WALL])}
+    assert "joint" in rejoint.diagnose("emulated:worn", quick=True, **stage).verdict
+    assert rejoint.identify(run=run).arm == ARM.name
+    once = rejoint.TrialPlan(repetitions=1)
+    rejoint.compare("emulated:worn", ["default", "predictive"], [HERE], plan=once, **stage)
+    with rejoint.connect("emulated:worn", run=run) as arm:
         assert arm.controller == "predictive"
-        arm.move_to(target, within_m=0.003)
+        arm.move_to(HERE, within_m=0.003)
     assert settled(None, run, "emulated:worn")[0].payload.mass == 0.05
     robot = rejoint.open_robot("emulated:worn", arm=loaded(ARM, 0.05))
     for other in (rejoint.Settings(payload=0.1), rejoint.Settings(tool=[0.0, 0.0, 0.05])):

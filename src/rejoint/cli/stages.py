@@ -28,7 +28,7 @@ from rejoint.robots.knobs import ServoAddress
 from rejoint.robots.servobus import Gripper, ServoBus
 from rejoint.runs.run import RUNS, Run
 from rejoint.session.inputs import FIRST_ROBOT, Settings, source_of, to_keep
-from rejoint.session.session import ArmSession
+from rejoint.session.session import Session
 from rejoint.system.errors import InputError, NotReachedError
 from rejoint.system.extras import EXTRAS, installed, require
 from rejoint.system.shell import command, host_and_port, is_loopback
@@ -357,7 +357,7 @@ def gains(call: Call, robot: str, run: Path, keep: bool = False, yes: bool = Fal
         return {"run": run, "wanted": wanted}
     if not yes and not typer.confirm("Write it?", err=True):
         raise InputError("nothing was written; say --yes to be asked no more")
-    with noted(), ArmSession(robot, run=job) as session:
+    with noted(), Session(robot, run=job) as session:
         servos, before = tunable(session.robot)
         servos.keep(wanted)
     call.result(f"Kept: {in_words(wanted)}. Before: {in_words(before)}.")
@@ -395,7 +395,7 @@ def serve_lines(robot: str, run: Path, call: Call) -> None:
     if sys.stdin is None:
         raise InputError("--stdio follows standard input, and it is closed; give it a pipe")
     detail = place_of(robot).detail
-    with noted(), ArmSession(robot, run=run, settings=call.settings, observer=call) as arm:
+    with noted(), Session(robot, run=run, settings=call.settings, observer=call) as arm:
         bus = getattr(part_of(arm.robot, BusRobot), "bus", None)
         gripper = Gripper.find(bus) if isinstance(bus, ServoBus) else None
         arm.watching += [] if gripper is None else [lambda _: gripper.serve()]
@@ -406,7 +406,7 @@ def serve_lines(robot: str, run: Path, call: Call) -> None:
             _answer(_obey(arm, gripper, line))
 
 
-def _obey(arm: ArmSession, gripper: Gripper | None, line: bytes) -> dict[str, Any]:
+def _obey(arm: Session, gripper: Gripper | None, line: bytes) -> dict[str, Any]:
     until = time.monotonic() + LOST
     while time.monotonic() - arm.heard > LOST:  # or this computer was busy, and the answer comes
         if time.monotonic() > until:

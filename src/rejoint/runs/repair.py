@@ -1,4 +1,4 @@
-"""The whole chain: diagnosis, twin, policy, comparison and report; and the session that does its stages by hand."""
+"""The whole chain: diagnosis, twin, policy, comparison and report."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from rejoint.logs.runfolder import RunFolder, StageCost, add
 from rejoint.robots import place_of
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, exclusive, finish
-from rejoint.runs.stages.calibrate import Calibrated, calibrate
+from rejoint.runs.stages.calibrate import calibrate
 from rejoint.runs.stages.compare import ONE_ARM_PROTOCOL, Compared, ComparisonJob, TrialPlan, compare, comparison_job
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
-from rejoint.runs.stages.fitting import TrainedPolicy, gains, identify, train
+from rejoint.runs.stages.fitting import gains, identify, train
 from rejoint.session.context import ControllerMaker, Controllers, named
 from rejoint.session.inputs import (
     FIRST_ROBOT,
@@ -43,7 +43,7 @@ from rejoint.session.inputs import (
     period_of,
     settled,
 )
-from rejoint.session.session import ArmSession
+from rejoint.session.session import Session
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.records import as_options, entity
@@ -51,7 +51,6 @@ from rejoint.system.shell import give_back
 
 if TYPE_CHECKING:
     from rejoint.training.task import Preset
-    from rejoint.twin.twin import Twin
 
 
 StageName = Literal["diagnose", "calibrate", "identify", "gains", "train", "compare", "report"]
@@ -256,7 +255,7 @@ def _comparison(
     trials = replace(usual, **{name: value for name, value in vars(given).items() if value is not None})
     if quick and targets is None:
         targets = draw_targets(run.arm, sets=1, count=QUICK_TARGETS, seed=run.seed)
-    with ArmSession(robot, run=run, settings=compared, observer=observer) as session:
+    with Session(robot, run=run, settings=compared, observer=observer) as session:
         yield comparison_job(session, plan.controllers, targets, trials)
 
 
@@ -315,97 +314,3 @@ def report(run: RunLike) -> Path:
         finish(found)
         summarise(found)
         return page
-
-
-class Session(ArmSession):
-    """An arm with everything that drives it, see `rejoint.connect`; its run takes up what a stage finds.
-
-    One motion at a time, always guarded; between motions the arm holds. Before the first target or path it goes to
-    rest. Use it in a ``with`` block.
-
-    Examples
-    --------
-    >>> with rejoint.connect("tcp://192.168.1.20:9000", run="runs/mine") as arm:
-    ...     arm.diagnose(), arm.identify(), arm.train(), arm.compare()
-    ...     arm.move_to([0.2, 0.05, 0.18])  # by the controller that the comparison recommends
-    """
-
-    def diagnose(self, *, quick: bool = False) -> Diagnosed:
-        """Excite the arm and say what is wrong with it; as `rejoint.diagnose`."""
-        return self.lend(diagnose, self.robot, quick=quick, settings=self.settings)
-
-    def calibrate(self, gauge: GaugeLike | None = None, *, count: int | None = None) -> Calibrated:
-        """Find out where the tool really is; as `rejoint.calibrate`."""
-        return self.lend(calibrate, self.robot, gauge=gauge, count=count, settings=self.settings)
-
-    def identify(self) -> Twin:
-        """Fit a twin to what the diagnosis recorded; as `rejoint.identify`."""
-        return self.lend(identify)
-
-    def train(self, *, quick: bool = False) -> TrainedPolicy:
-        """Train a policy on copies of the twin; as `rejoint.train`."""
-        return self.lend(train, quick=quick)
-
-    def compare(
-        self, controllers: Controllers = (), targets: Targets | None = None, *, plan: TrialPlan | None = None
-    ) -> Compared:
-        """Try controllers on the arm and recommend one; as `rejoint.compare`."""
-        return self.lend(compare, self.robot, controllers, targets, plan=plan, settings=self.settings)
-
-
-def connect(
-    address: RobotLike,
-    *,
-    run: RunLike | None = None,
-    arm: ArmLike | None = None,
-    settings: Settings | None = None,
-    observer: Observer | None = None,
-) -> Session:
-    """Connect to an arm, to drive it under the guard; nothing moves yet.
-
-    Without a guard: `rejoint.open_robot`.
-
-    Parameters
-    ----------
-    address
-        ``emulated:worn`` (virtual time), ``tcp://HOST:PORT``, ``serial:///dev/DEVICE``, ``feetech:///dev/DEVICE``, or
-        an open robot
-    run
-        run, or its folder, for twin, calibration, controller and logs; without one the generic policy drives, if any
-    arm
-        arm, name or file; default: by the run or the address
-    settings
-        controller, payload, control period and so on
-    observer
-        receives messages, progress, control cycles
-
-    Returns
-    -------
-    Session
-        the arm
-
-    Raises
-    ------
-    AddressError
-        if nothing usable is there
-    MissingExtraError
-        without the simulator of an emulated arm
-    InputError, ContractError
-        if run, controller and arm do not fit
-
-    Examples
-    --------
-    >>> with rejoint.connect("tcp://192.168.1.20:9000", run="runs/mine") as arm:
-    ...     arm.move_to([0.2, 0.05, 0.18])
-    >>> settings = rejoint.Settings(payload=0.1)
-    >>> arm = rejoint.connect("emulated:worn", settings=settings)
-    """
-    found = Session(address, run=run, arm=arm, settings=settings, observer=observer)
-    try:
-        found.driver()
-        found.correction  # noqa: B018 - what does not fit is refused now
-        found.look()
-        return found
-    except BaseException as error:
-        found.__exit__(type(error), error, error.__traceback__)
-        raise

@@ -369,9 +369,8 @@ class ArmDriver:
         """[s] monotonic time of the newest cycle"""
         self.given, self._pace = robot, pace
         """the robot or its address, as the user gave it"""
-        self._stack, self._alone, self._gains = ExitStack(), ExitStack(), ExitStack()
-        self._stack.enter_context(self._alone)
-        self._alone.enter_context(exclusive(None if self.settings.dry_run else about))
+        self._stack, self._gains = ExitStack(), ExitStack()
+        self._stack.enter_context(exclusive(None if self.settings.dry_run else about))
         self._named = about  # as the user knows it, also where a copy is worked on
         self.rehearsal: RehearsedRobot | None = None
         self.run = about if about is None or not self.settings.dry_run else self._stack.enter_context(copied(about))
@@ -406,15 +405,12 @@ class ArmDriver:
             if self.settings.dry_run:
                 robot = self.rehearsal = RehearsedRobot(robot, self.twin, self.period, self.calibration)
             self._stack.enter_context(self._gains)
-            self._limit(robot)
+            self._base = guard_limits(self.run, self.arm, self.address)
+            self.limits = limits_under(self._base, robot, None)
             pace, paced = self._pace, None if self._pace is None else False
             if pace is not None and (self.rehearsal is not None or virtual):
                 robot = WallClock(robot, lambda: pace)
             return self.observer.watch(robot, twin=self.twin, within=self.settings.within, paced=paced)
-
-    def _limit(self, robot: Robot) -> None:
-        self._base = guard_limits(self.run, self.arm, self.address)
-        self.limits = limits_under(self._base, robot, None)
 
     @contextmanager
     def metered(self, stage: str) -> Iterator[Robot]:

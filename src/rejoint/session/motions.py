@@ -41,7 +41,7 @@ from rejoint.runs.run import Run
 from rejoint.session.context import correction_of
 from rejoint.session.driver import ArmMotion
 from rejoint.session.inputs import ArmLike, EyeLike, RobotLike, RunLike, Settings, Targets, as_targets
-from rejoint.session.session import ArmSession
+from rejoint.session.session import Session
 from rejoint.system.errors import LOGGER, FileError, InputError, NotReachedError
 from rejoint.system.files import saving
 from rejoint.system.numbers import as_floats, as_seconds, as_whole, as_within
@@ -102,11 +102,11 @@ def deploy(
     >>> for visit in done.visits:
     ...     print(visit.target, visit.error, visit.reached, visit.remark)
     """
-    with noted(), ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session:
+    with noted(), Session(robot, run=run, arm=arm, settings=settings, observer=observer) as session:
         return session.deploy(targets)
 
 
-def to_targets(session: ArmSession, targets: Targets | None) -> Callable[[ArmMotion], Deployed]:
+def to_targets(session: Session, targets: Targets | None) -> Callable[[ArmMotion], Deployed]:
     """Return what drives to ``targets``; InputError if impossible, before anything moves."""
     arm, settings = session.arm, session.settings
     points, turned = as_targets(targets, arm, sets=1, seed=session.seed, motors=session.motors)
@@ -263,12 +263,12 @@ def follow(
     """
     chosen = as_options(settings, Settings)
     chosen = replace(chosen, within=chosen.within or WITHIN)
-    with noted(), ArmSession(robot, run=run, arm=arm, settings=chosen, observer=observer) as session:
+    with noted(), Session(robot, run=run, arm=arm, settings=chosen, observer=observer) as session:
         return cast(Followed, session.follow(path, repeat=repeat))
 
 
 def along(
-    session: ArmSession, path: PathLike | Stream, *, repeat: int, duration: float | None, within: float | None
+    session: Session, path: PathLike | Stream, *, repeat: int, duration: float | None, within: float | None
 ) -> Callable[[ArmMotion], Followed | None]:
     """Return what follows a path or stream, None where it is asked to end; InputError before anything moves.
 
@@ -446,7 +446,7 @@ def serve(
     with (
         noted(),
         ExitStack() as stack,
-        ArmSession(robot, run=run, settings=settings, observer=observer, pace=pace) as session,
+        Session(robot, run=run, settings=settings, observer=observer, pace=pace) as session,
     ):
         arm, about, say = session.arm, session.run, session.observer.message
         assert about is not None  # noqa: S101 - for the type checker; it was given
@@ -483,7 +483,7 @@ def serve(
         return Serving(address=server.address, orders=log.orders, log=str(path))
 
 
-def _drive(session: ArmSession, served: ServedArm, log: OrderLog, over: Callable[[], bool]) -> None:
+def _drive(session: Session, served: ServedArm, log: OrderLog, over: Callable[[], bool]) -> None:
 
     def watch(cycle: Cycle) -> None:
         served.held_back = " and ".join(reason_names(cycle.reasons[0] & OBSTACLES))

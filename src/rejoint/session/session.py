@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent import futures
 from contextlib import contextmanager, suppress
 from math import radians
 from types import TracebackType
-from typing import TYPE_CHECKING, Self, TypeVar
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,11 +19,10 @@ from rejoint.control.controllers.posture import OFF, PlannedWay, PostureControll
 from rejoint.control.correction import tool_error
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule, brake
-from rejoint.control.recording import PIECE, Cycle, cycle_at_rest
+from rejoint.control.recording import PIECE, Cycle, Observer, cycle_at_rest
 from rejoint.control.reference import Reference, TargetSequence, with_ways
 from rejoint.control.targets import Pose, in_mm, placed
 from rejoint.robots import is_virtual
-from rejoint.runs.run import exclusive
 from rejoint.session.driver import ArmDriver, ArmMotion, GoalStream, RunRecorder
 from rejoint.system.errors import InputError, NotReachedError, NotReadyError, RejointError
 from rejoint.system.numbers import as_floats, as_place, as_positive, as_seconds, as_within
@@ -35,10 +34,8 @@ if TYPE_CHECKING:
     from rejoint.control.moving.drive import Deployed, Followed
     from rejoint.control.moving.reference import Stream
     from rejoint.logs.runlog import RunLog
-    from rejoint.session.inputs import Targets
+    from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Settings, Targets
     from rejoint.session.motions import PathLike
-
-T = TypeVar("T")
 
 WITHIN, WITHIN_TURN = 0.002, radians(1.0)
 """[m] and [rad] within which poses are reached (chosen)"""
@@ -77,8 +74,8 @@ class ArmState(Readable):
     """orientation error by the encoders; None for points"""
 
 
-class ArmSession(ArmDriver):
-    """An arm and everything that drives it, one motion at a time and always guarded; see `rejoint.connect`.
+class Session(ArmDriver):
+    """An arm and everything that drives it, one motion at a time and always guarded.
 
     Before the first target or path, the arm goes slowly to its rest posture. Between motions it holds. Use it in a
     ``with`` block.
@@ -97,26 +94,6 @@ class ArmSession(ArmDriver):
     _goals: GoalStream | None = None
     _seen: Cycle | None = None
     _closed = False
-
-    def lend(self, stage: Callable[..., T], *given: object, **options: object) -> T:
-        """Leave run and robot to a ``stage``; afterwards the run's new state counts."""
-        if self.run is None:
-            raise InputError("session: a stage writes what it finds into a run; connect with run=FOLDER")
-        self._require_free()
-        if self._base is not None:
-            self.take_up(None)
-        self._alone.close()
-        try:
-            return stage(*given, run=self.run, observer=self.observer, **options)
-        finally:
-            self._alone.enter_context(exclusive(self._named))
-            for name in ("twin", "calibration", "correction"):
-                self.__dict__.pop(name, None)
-            self._chosen.clear()
-            if self._base is not None:
-                self._limit(self.robot)
-                self._last = self._seen = None
-                self._sent, self._rested = None, False  # the arm may have moved: it begins as at first
 
     @property
     def _moving(self) -> bool:
@@ -500,3 +477,61 @@ class ArmSession(ArmDriver):
             self._motion = None  # else an interruption at the end would leave it for the next motion to raise
         motion.result()
         return self.state
+
+
+def connect(
+    address: RobotLike,
+    *,
+    run: RunLike | None = None,
+    arm: ArmLike | None = None,
+    settings: Settings | None = None,
+    observer: Observer | None = None,
+) -> Session:
+    """Connect to an arm, to drive it under the guard; nothing moves yet.
+
+    Without a guard: `rejoint.open_robot`.
+
+    Parameters
+    ----------
+    address
+        ``emulated:worn`` (virtual time), ``tcp://HOST:PORT``, ``serial:///dev/DEVICE``, ``feetech:///dev/DEVICE``, or
+        an open robot
+    run
+        run, or its folder, for twin, calibration, controller and logs; without one the generic policy drives, if any
+    arm
+        arm, name or file; default: by the run or the address
+    settings
+        controller, payload, control period and so on
+    observer
+        receives messages, progress, control cycles
+
+    Returns
+    -------
+    Session
+        the arm
+
+    Raises
+    ------
+    AddressError
+        if nothing usable is there
+    MissingExtraError
+        without the simulator of an emulated arm
+    InputError, ContractError
+        if run, controller and arm do not fit
+
+    Examples
+    --------
+    >>> with rejoint.connect("tcp://192.168.1.20:9000", run="runs/mine") as arm:
+    ...     arm.move_to([0.2, 0.05, 0.18])
+    >>> settings = rejoint.Settings(payload=0.1)
+    >>> arm = rejoint.connect("emulated:worn", settings=settings)
+    """
+    found = Session(address, run=run, arm=arm, settings=settings, observer=observer)
+    try:
+        found.driver()
+        found.correction  # noqa: B018 - what does not fit is refused now
+        found.look()
+        return found
+    except BaseException as error:
+        found.__exit__(type(error), error, error.__traceback__)
+        raise

@@ -36,7 +36,7 @@ from rejoint.diagnosis.calibration.procedure import (
 from rejoint.runs.run import Run
 from rejoint.session.context import stance_of, zeros_of
 from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Settings, as_calibration
-from rejoint.session.session import ArmSession
+from rejoint.session.session import Session
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import saving, set_aside
 from rejoint.system.numbers import as_whole
@@ -188,7 +188,7 @@ def calibrate(
     with (
         pacing(observer) as update,
         noted(),
-        ArmSession(robot, run=run, arm=arm, settings=chosen, observer=observer) as session,
+        Session(robot, run=run, arm=arm, settings=chosen, observer=observer) as session,
     ):
         about, prior = session.run, as_calibration(chosen.calibration, session.run, session.arm)
         fresh = chosen.calibration == "none"

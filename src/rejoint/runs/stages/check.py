@@ -31,7 +31,7 @@ from rejoint.logs.journal import recover
 from rejoint.runs.history import MOVED, REPAIR, SET_UP, owners, past_of, rows_of, with_outlook
 from rejoint.runs.run import RUNS, staged
 from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of, to_keep
-from rejoint.session.session import ArmSession
+from rejoint.session.session import Session
 from rejoint.system.errors import LOGGER, InputError
 from rejoint.system.files import require_space, saving
 from rejoint.system.numbers import as_positive
@@ -175,7 +175,7 @@ def check(
         folder = home / CHECKS / head.arm / f"{head.time:%Y%m%dT%H%M%S}-{os.urandom(2).hex()}"
         with (
             noted(),
-            ArmSession(robot, arm=built, settings=chosen, observer=observer) as session,
+            Session(robot, arm=built, settings=chosen, observer=observer) as session,
             _kept(session.robot, folder) as watched,
         ):
             ((log, warm),) = record_check(watched, on_progress=update)

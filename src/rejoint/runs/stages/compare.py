@@ -59,7 +59,7 @@ from rejoint.session.inputs import (
     is_batchable,
     period_of,
 )
-from rejoint.session.session import ArmSession
+from rejoint.session.session import Session
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress
 from rejoint.system.records import Readable, as_options, entity
@@ -350,13 +350,13 @@ def compare(
     """
     with (
         pacing(observer) as update,
-        ArmSession(robot, run=run, arm=arm, settings=settings, observer=observer) as session,
+        Session(robot, run=run, arm=arm, settings=settings, observer=observer) as session,
     ):
         return comparison_job(session, controllers, targets, as_options(plan, TrialPlan)).drive(update)
 
 
 def comparison_job(
-    session: ArmSession, controllers: Controllers, targets: Targets | None, plan: TrialPlan
+    session: Session, controllers: Controllers, targets: Targets | None, plan: TrialPlan
 ) -> ComparisonJob:
     """Assemble and validate a comparison on the arm of a session."""
     arm, run, twin, settings = session.arm, session.run, session.twin, session.settings

@@ -38,7 +38,7 @@ from rejoint.session.inputs import (
     source_of,
     to_keep,
 )
-from rejoint.session.session import ArmSession
+from rejoint.session.session import Session
 from rejoint.system.files import read_json, saving, set_aside, write_json
 from rejoint.system.records import Readable, entity
 from rejoint.system.stopping import noted
@@ -141,7 +141,7 @@ def diagnose(
     with (
         pacing(observer) as update,
         noted(),
-        ArmSession(robot, run=about, arm=built, settings=chosen, observer=observer) as session,
+        Session(robot, run=about, arm=built, settings=chosen, observer=observer) as session,
     ):
         reference = _known_good(built, healthy)
         with session.metered("diagnose") as driven:

@@ -38,7 +38,7 @@ from rejoint.session.inputs import (
     opened,
     run_of_logs,
 )
-from rejoint.session.session import ArmSession
+from rejoint.session.session import Session
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import saving, set_aside, write_json
 from rejoint.system.numbers import as_seed
@@ -392,7 +392,7 @@ def gains(
     with (
         pacing(observer) as update,
         noted(),
-        ArmSession(robot, run=run, settings=settings, observer=observer) as session,
+        Session(robot, run=run, settings=settings, observer=observer) as session,
         session.metered("gains") as tried,
     ):
         told, now = session.run and session.run.diagnosis, gains_in_force(session.robot)
