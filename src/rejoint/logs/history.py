@@ -94,24 +94,16 @@ class HistoryRow:
     error_mm: float | None = None
     """encoders: AP of a check, diagnosis of a run"""
     repeatability_mm: float | None = None
-    approach_mm: float | None = None
     true_error_mm: float | None = None
     controlled_mm: float | None = None
     """after a repair, see `Outlook.controlled_mm`"""
     tolerance_mm: float | None = None
     """the user's"""
-    stiffness_nm_per_rad: float | None = None
-    """of the servo, by a diagnosis"""
-    coulomb_nm: float | None = None
-    lag_s: float | None = None
-    offset_rad: float | None = None
     controller: str = ""
     """recommended"""
     settled_mm: float | None = None
     """encoder error at rest with it"""
     settled_true_mm: float | None = None
-    success: float | None = None
-    """share of reached targets with it"""
     state: str = ""
     """of a check: learning, steady, drifting or alarm; else of a run"""
     line: str = ""

@@ -104,11 +104,7 @@ def summarise(run: Run) -> None:
         model=run.arm.name,
         setup=setup_of(run.arm),
     )
-    joints = []
     if diagnosis:
-        for row in diagnosis.measurement.joints:
-            found = {name: one and one.value for name in _DIAGNOSED for one in [getattr(row, name)]}
-            joints.append(replace(arm, joint=row.joint, **found))
         arm = replace(arm, state=diagnosis.condition, line=diagnosis.verdict)
         if loop := diagnosis.open_loop:
             known = loop.true_error_mm
@@ -116,12 +112,12 @@ def summarise(run: Run) -> None:
     if comparison:
         best = comparison.row(recommend(comparison).controller)
         settled, true = (1e3 * one.mean.value if one else None for one in (best.settled, best.settled_true))
-        arm = replace(arm, controller=best.controller, success=best.reached, settled_mm=settled, settled_true_mm=true)
+        arm = replace(arm, controller=best.controller, settled_mm=settled, settled_true_mm=true)
     if kind == REPAIR:
         from rejoint.pages.report.page import check_again
 
         arm = replace(arm, line=f"{arm.line} Do: {check_again(run.folder, run.info)}")
-    write_rows(path, [arm, *joints])
+    write_rows(path, [arm])
 
 
 def summary_of(path: Path) -> HistoryRow | None:
@@ -130,8 +126,6 @@ def summary_of(path: Path) -> HistoryRow | None:
         return next((row for row in read_rows(path) if not row.joint), None)
     return None
 
-
-_DIAGNOSED = ("stiffness_nm_per_rad", "coulomb_nm", "lag_s", "offset_rad")
 
 _STATES = ("alarm", "drifting", "learning", "steady")
 """The worst first"""

@@ -2,8 +2,8 @@
 
 Every other joint sweeps slowly, then the rest; the tool visits the poses of ISO 9283:1998, five times from both sides.
 
-ISO 9283: *accuracy* AP is the distance of the mean position from the command, *repeatability* RP the scatter about it,
-vAP the distance between directions of approach. ISO 230-2: *reversal value* B, a joint's difference between directions.
+ISO 9283: *accuracy* AP is the distance of the mean position from the command, *repeatability* RP the scatter about it.
+ISO 230-2: *reversal value* B, a joint's difference between directions.
 """
 
 from collections.abc import Sequence
@@ -119,8 +119,6 @@ class CheckMeasures:
     """AP by encoders, mean over poses and sides"""
     repeatability_mm: float
     """largest RP from one side, of `CYCLES` approaches (standard: 30)"""
-    approach_mm: float
-    """largest vAP of a pose by encoders"""
     true_error_mm: float | None
     """as `error_mm`, of the tool itself"""
     temperature_c: float | None
@@ -137,12 +135,12 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
     lever = np.maximum(levers(arm, position).mean(axis=(0, 1, 2)), LEAST_LEVER)
     off = 1e3 * lever * (command - position)  # (poses, sides, cycles, n) [mm]
     torque, least = gravity_torque(arm, position), _LEAST_RANGE * torque_size(arm)
-    reversal = (off[:, 0] - off[:, 1]).mean(axis=(0, 1))
+    turned = (off[:, 0] - off[:, 1]).mean(axis=(0, 1))
     rows = tuple(
         JointCheck(
             joint=name,
             hysteresis_mm=1e3 * lever[j] * _hysteresis(data, j),
-            reversal_mm=float(reversal[j]),
+            reversal_mm=float(turned[j]),
             deviation_mm=float(off[..., j].mean()),
             sag_mm=_sag(off[..., j].mean(axis=(1, 2)), torque[..., j].mean(axis=(1, 2)), least),
             lever_mm=1e3 * float(lever[j]),
@@ -150,15 +148,12 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
         )
         for j, name in enumerate(arm.joint_names)
     )
-    goal = tcp_position(arm, command)
-    error, scatter, apart = _tool(goal, tcp_position(arm, position))
-    true_error = _tool(goal, tool)[0] if np.isfinite(tool).all() else None
+    goal, seen = tcp_position(arm, command), tcp_position(arm, position)
     return CheckMeasures(
         joints=rows,
-        error_mm=error,
-        repeatability_mm=scatter,
-        approach_mm=apart,
-        true_error_mm=true_error,
+        error_mm=1e3 * float(reversal(seen, goal).mean()),
+        repeatability_mm=1e3 * float(position_repeatability(seen).max()),
+        true_error_mm=1e3 * float(reversal(tool, goal).mean()) if np.isfinite(tool).all() else None,
         temperature_c=None if temperature is None else float(np.mean(temperature)),
     )
 
@@ -215,10 +210,3 @@ def _sag(deviation: Array, torque: Array, least: float) -> float | None:
     if np.ptp(torque) < least:
         return None
     return float(np.polyfit(torque - torque.mean(), deviation, 1)[0] * abs(torque.mean()))
-
-
-def _tool(goal: Array, attained: Array) -> tuple[float, float, float]:
-    """AP, RP and vAP [mm] of positions (poses, sides, cycles, 3) [m]."""
-    accuracy, apart = reversal(attained, goal), reversal(attained[:, 0], attained[:, 1])
-    scatter = position_repeatability(attained)
-    return 1e3 * float(accuracy.mean()), 1e3 * float(scatter.max()), 1e3 * float(apart.max())
