@@ -29,7 +29,6 @@ from rejoint.system.shell import host_and_port
 
 if TYPE_CHECKING:
     from rejoint.pages.live.view import LiveView
-    from rejoint.runs.repair import Stage
 
 T = TypeVar("T")
 
@@ -58,7 +57,6 @@ class Call(Terminal, Observer):
         self.code = 0
         """exit code"""
         self._bar: Progress = no_progress
-        self._stage: Stage | None = None
         self._view: LiveView | None = None
         self._title = ""
         self.live = given.get("live")
@@ -131,9 +129,8 @@ class Call(Terminal, Observer):
     # --- as an observer -----------------------------------------------------------------------------
 
     def progress(self, share: float, what: str) -> None:
-        """Move the bar; in a repair it is that of the stage, and ``share`` that of all stages."""
-        stage = self._stage
-        self._bar(share if stage is None else stage.total * share - (stage.number - 1), what)
+        """Move the bar."""
+        self._bar(share, what)
 
     def stage(self, stage: Any) -> None:  # noqa: ANN401 - a `Stage`
         """Show how a stage of a repair stands."""
@@ -148,7 +145,7 @@ class Call(Terminal, Observer):
         if stage.state != "started":
             self.show(show.stage(stage.name, stage.result))
             return
-        self._stage, self._title = stage, stage.name
+        self._title = stage.name
         self._show_bar(stage.name)
 
     def partial(self, result: object) -> None:

@@ -206,7 +206,7 @@ class Observer:
         """Receive a sentence for the user."""
 
     def progress(self, share: float, what: str) -> None:
-        """Receive the done share, 0 to 1, and its label, at most ten times a second."""
+        """Receive the done share, 0 to 1, of the call or stage, and its label, at most ten times a second."""
 
     def stage(self, stage: object) -> None:
         """Receive a `Stage` of a repair at its start and end."""

@@ -14,7 +14,7 @@ from rejoint.arms import Arm
 from rejoint.control.comparison.recommend import recommend
 from rejoint.control.comparison.result import Protocol
 from rejoint.control.controllers.catalogue import POLICY
-from rejoint.control.recording import Observer, StageObserver
+from rejoint.control.recording import Observer
 from rejoint.control.servogains import GEARED_POLICY, RIVALS
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder, StageCost, add
@@ -233,7 +233,7 @@ def repair(
                     stack.enter_context(closing(ahead))
             if only in (None, name):
                 stage = Stage(name=name, state="started", file=file, number=number, total=len(files))
-                _do(stage, works[name], found, watching, alone=only is not None)
+                _do(stage, works[name], found, watching)
     watching.progress(1.0, "done")
     return found
 
@@ -259,16 +259,15 @@ def _comparison(
         yield comparison_job(session, plan.controllers, targets, trials)
 
 
-def _do(stage: Stage, work: Callable[..., object], run: Run, observer: Observer, *, alone: bool) -> None:
-    """Do a stage, or report that it is done; without others (``alone``) its progress is the whole."""
+def _do(stage: Stage, work: Callable[..., object], run: Run, observer: Observer) -> None:
+    """Do a stage, or report that it is done."""
     if stage.name != "report" and stage.file.exists():
         observer.stage(replace(stage, state="kept", result=_kept(run, stage.name)))
         return
     observer.stage(stage)
     begun = time.monotonic()
-    start, end = (0.0, 1.0) if alone else ((stage.number - 1) / stage.total, stage.number / stage.total)
     try:
-        result = work(observer=StageObserver(observer, start, end))
+        result = work(observer=observer)
     finally:
         add(run.folder, StageCost(name=stage.name, wall=time.monotonic() - begun))
         give_back()

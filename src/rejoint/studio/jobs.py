@@ -155,7 +155,7 @@ def left(studio: Studio) -> str:
     if stage is not None and status.run is not None and status.arm is not None:
         planned = list(stages_of(status.address, status.arm, RunFolder(status.run)))
         coming = planned[planned.index(stage.name) + 1 :]
-        share, usual = stage.total * share - (stage.number - 1), pace * EXPECTED.get(stage.name, 0.0)
+        usual = pace * EXPECTED.get(stage.name, 0.0)
         later = pace * sum(EXPECTED[name] for name in coming)
     now = elapsed * (1.0 - share) / share if share > EARLY else max(usual - elapsed, 0.0)
     seconds = now + later

@@ -238,7 +238,7 @@ class Studio(Observer):
 
     def stage(self, stage: object) -> None:
         """See `Observer`."""
-        self.change(stage=cast("rejoint.Stage", stage), began=time.monotonic())
+        self.change(stage=cast("rejoint.Stage", stage), share=0.0, began=time.monotonic())
         self.heed()
 
     def served(self, address: str) -> None:
