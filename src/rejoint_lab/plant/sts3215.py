@@ -146,10 +146,10 @@ def protect(setting, status, output, temperature):
 
 
 @inner
-def torque_of(setting, status, powered, speed, no_load_speed):
+def torque_of(setting, status, speed, no_load_speed):
     """Motor torque [N m] at ``speed`` [rad/s] and the present voltage."""
     braked = setting.stall * speed / no_load_speed
-    if not powered or setting.torque_on == 0:
+    if setting.torque_on == 0:
         status.output, status.current = 0, 0.0
         return 0.0  # the windings are open
     if setting.torque_on == 2:
@@ -165,9 +165,9 @@ def torque_of(setting, status, powered, speed, no_load_speed):
 def tick_servo(setting, status, rings, joint, state, tick, count, speed):
     """One millisecond of a servo at ``count``; ``rings`` (2, WINDOW); returns the torque [N m] on the output."""
     errors, positions = rings[0], rings[1]
-    powered, temperature = state.powered, state.temperature + setting.warmth
+    temperature = state.temperature + setting.warmth
     sense(status, count, positions, tick)
-    if not powered or setting.torque_on != 1:
+    if setting.torque_on != 1:
         status.reference, status.rate, status.sum = float(status.position), 0.0, 0.0
         status.goal = status.position
         status.alarms &= ~(OVERLOAD | CURRENT)
@@ -178,6 +178,6 @@ def tick_servo(setting, status, rings, joint, state, tick, count, speed):
         ramp(setting, status)
         status.output = protect(setting, status, output_of(setting, status, errors, tick), temperature)
         status.moving = status.rate != 0.0 or status.speed != 0
-    state.torque = torque_of(setting, status, powered, speed, joint.no_load_speed)
+    state.torque = torque_of(setting, status, speed, joint.no_load_speed)
     state.load = status.output / PWM_FULL
     return state.torque + setting.bias - setting.viscous * speed

@@ -156,7 +156,7 @@ def tick_servo(setting, status, state, count, speed):
     """One millisecond of one servo at ``count``; returns its motor torque [N m]."""
     status.speed += _FILTER * ((count - status.position) / STEP - status.speed)
     status.position = count
-    if not state.powered or setting.torque_on == 0:
+    if setting.torque_on == 0:
         protect(setting, status, 0.0, state.temperature + setting.warmth)
         status.reference, status.aimed, status.rate, status.sum = float(count), count, 0.0, 0.0
         status.error, status.change = 0.0, 0.0
