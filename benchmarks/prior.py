@@ -45,7 +45,7 @@ def main(arms: int = 20, count: int = 3) -> None:
     first = [fit(arm, one.rows(np.arange(FIRST))) for one in begun]
     targets = draw_targets(arm, sets=arms, count=TARGETS, seed=11)
     for change in CHANGES:
-        measured = measure(changed(change, family), suggest(arm, count, visits=1, sigma=SIGMA, seed=1), 1)
+        measured = measure(changed(change, family), suggest(arm, count, visits=1, sigma=SIGMA), 1)
         pairs = list(zip(measured, first, strict=True))
         found = {
             "first calibration as it is": first,

@@ -59,7 +59,6 @@ def test_what_can_be_reached_is_found(name, kind):
     found = np.array([not why for why in goals.refusals])
     assert found.mean() >= 0.99
     np.testing.assert_allclose(tcp_position(arm, goals.q[found]), f.tcp_position[found], atol=1e-5)
-    np.testing.assert_array_equal(goals.nearest[found], f.tcp_position[found])
     assert kind == "place" or angles(turn, frames(arm, goals.q).tcp_rotation)[found].max() < 1e-3
     works(arm, goals.q)
 
@@ -91,7 +90,6 @@ def test_what_is_too_heavy_is_so_in_every_posture():
         assert free.any()
         assert (np.abs(gravity_torque(arm, any_way.q[free])) / limit).max(axis=-1).min() > 1.0
     assert (np.abs(gravity_torque(arm, goals.q)) <= limit + 1e-9).all()
-    np.testing.assert_allclose(tcp_position(arm, goals.q), goals.nearest, atol=2e-5)
 
 
 def test_neighbouring_targets_stay_on_one_branch():
@@ -112,10 +110,11 @@ def test_every_refusal_has_its_reason_and_a_near_place_that_works():
     for why, words in zip(goals.refusals, ("out of reach by", "below the floor", "box 1", "the ground"), strict=True):
         assert words in why
     works(arm, goals.q)
-    np.testing.assert_allclose(tcp_position(arm, goals.q), goals.nearest, atol=2e-5)
-    away = np.linalg.norm(goals.nearest - places, axis=-1)
+    nearest = np.round(tcp_position(arm, goals.q), 3)
+    np.testing.assert_allclose(tcp_position(arm, goals.q), nearest, atol=2e-5)
+    away = np.linalg.norm(nearest - places, axis=-1)
     assert f"out of reach by {1e3 * away[0]:.1f} mm" in goals.refusals[0]
-    np.testing.assert_array_equal(choose_postures(arm, goals.nearest, arm.rest).nearest, goals.nearest)
+    assert choose_postures(arm, nearest, arm.rest).refusals == ("",) * len(places)
     assert (away < [0.35, 0.03, 0.14, 0.02]).all()
 
 

@@ -97,11 +97,9 @@ class Goals:
     """Postures of K targets."""
 
     q: Array
-    """(K, n) [rad] of the target, or of ``nearest``"""
+    """(K, n) [rad] of the target, or of the nearest possible place"""
     refusals: tuple[str, ...]
-    """(K,) reasons and nearest possible place in one line; empty: possible"""
-    nearest: Array
-    """(K, 3) [m] nearest possible places, in whole mm; the start's where none was found"""
+    """(K,) reasons and that place in one line; empty: possible"""
 
 
 def choose_postures(
@@ -136,7 +134,7 @@ def choose_postures(
     Returns
     -------
     Goals
-        postures, refusals and the nearest possible places
+        postures and refusals
 
     Raises
     ------
@@ -146,16 +144,15 @@ def choose_postures(
     places, starts = np.asarray(targets, dtype=float), np.asarray(start, dtype=float)
     goals, load = goals_of(places, turn), _load_of(arm, motors)
     q = starts + np.zeros((len(places), arm.joints))
-    nearest, refusals = places.copy(), [""] * len(places)
+    refusals = [""] * len(places)
     for k, goal in enumerate(goals):
         begin = q[k - 1] if chained and k else q[k]
         near = chained and k > 0 and _neighbours(arm, goal, goals[k - 1])
         found = _choose(arm, load, goal, begin, near)
         if found is None:
-            at_once = "not found at once", begin, tcp_position(arm, begin)
-            refusals[k], found, nearest[k] = _refuse(arm, load, goal, begin) if thorough else at_once
+            refusals[k], found = _refuse(arm, load, goal, begin) if thorough else ("not found at once", begin)
         q[k] = found
-    return Goals(q=q, refusals=tuple(refusals), nearest=nearest)
+    return Goals(q=q, refusals=tuple(refusals))
 
 
 def find_postures(
@@ -223,12 +220,12 @@ def _promising(arm: Arm, load: Array, goal: Array, start: Array, count: int) -> 
     return np.argsort(away + 0.3 * (pool.bare + redundancy.TRAVEL * travel) + 0.15 * heavy, kind="stable")[:count]
 
 
-def _refuse(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[str, Array, Array]:
-    """Search thoroughly: the refusal or empty, and the nearest possible posture (n,) and place (3,)."""
+def _refuse(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[str, Array]:
+    """Search thoroughly: the refusal or empty, and the nearest possible posture (n,)."""
     low = goal[2] < arm.floor
     cost, found = (np.inf, start) if low else _search(arm, load, goal, start, THOROUGH)
     if cost < redundancy.FAR:
-        return "", found, goal[:3]
+        return "", found
     away, best, place = _nearby(arm, load, goal, start)
     by, near = "", "no place that works was found"
     if away < np.inf:
@@ -238,7 +235,7 @@ def _refuse(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[str, Arra
         why = f"below the floor at {1e3 * arm.floor:.1f} mm"
     else:
         why = _why(arm, load, goal, start, found if cost < np.inf else None) or f"out of reach{by}"
-    return f"{why}; {near}", best, place
+    return f"{why}; {near}", best
 
 
 def _why(arm: Arm, load: Array, goal: Array, start: Array, found: Array | None) -> str:

@@ -103,14 +103,13 @@ def suggest(
     visits: int = 2,
     sigma: float = 5e-4,
     prior: Calibration | None = None,
-    seed: int = 0,
 ) -> Suggestion:
     """Choose ``count`` visits for measurements of ``sigma`` [m] per coordinate, ``visits`` (1 or 2) per posture.
 
     InputError for too few free postures.
     """
     known = earlier(arm, prior) if prior else belief(arm, PriorCase(twist=LINKS))
-    postures = np.concatenate(_candidates(arm, seed))
+    postures = np.concatenate(_candidates(arm, 0))
     if len(postures) * visits < count:
         raise InputError(
             f"arm {arm.name}: only {len(postures)} postures are free of limits, floor and collisions, {count} are to "
@@ -118,7 +117,7 @@ def suggest(
         )
     slopes, noises = _seen(arm, known, postures, sigma)
     covariance = np.linalg.inv(known.precision).astype(float)
-    places = [np.random.default_rng(0).permutation(one)[:_PLACES] for one in _candidates(arm, seed + 1)]
+    places = [np.random.default_rng(0).permutation(one)[:_PLACES] for one in _candidates(arm, 1)]
     region = _seen(arm, known, np.concatenate(places), 0.0)[0]
     weight = np.einsum("pik,pil->kl", region, region)
     chosen = list[int]()
