@@ -215,12 +215,12 @@ def test_runs_are_listed_the_newest_first_and_their_reports_opened(tmp_path, cli
     monkeypatch.chdir(tmp_path)
     opened = []
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
-    for name in ("one", "two"):
+    for name in ("one", "lab/repairs/a1/002"):
         Run.create(f"runs/{name}", "emulated:worn", mycobot280())
     (tmp_path / "runs" / "three").mkdir()
     (tmp_path / "runs" / "three" / "run.json").write_text("{")
     told = cli("runs", "--json")
-    assert [one["run"] for one in told.last["runs"]] == ["runs/two", "runs/one"]
+    assert [one["run"] for one in told.last["runs"]] == ["runs/lab/repairs/a1/002", "runs/one"]
     assert "left out: runs/three" in told.err
     page = rejoint.report("runs/one")
     cli("open")

@@ -15,7 +15,7 @@ from rejoint.logs.consistency import remarks_on
 from rejoint.logs.exporting import export_log
 from rejoint.logs.importing import Format, import_logs
 from rejoint.logs.joints import ImportOptions, read_map
-from rejoint.logs.runfolder import RunFolder, read_info, runs_below
+from rejoint.logs.runfolder import RunFolder, files_below, read_info, runs_below
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.robots import ports as lines
@@ -226,7 +226,7 @@ def runs(call: Call, folder: Path = RUNS) -> object:
 def open_(call: Call, run: Path | None = None) -> object:
     """Open the report of a run in the browser."""
     if run is None:
-        reports = sorted(RUNS.glob("**/report.html"), key=lambda one: one.stat().st_mtime)
+        reports = sorted(files_below(RUNS, "report.html"), key=lambda one: one.stat().st_mtime)
         if not reports:
             raise FileError(RUNS, "no run with a report is below it", "make one: rejoint repair ROBOT")
         run = reports[-1].parent

@@ -1,7 +1,6 @@
 """Summary rows of runs and checks: one for the arm, one for each joint."""
 
 import hashlib
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, fields
@@ -14,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from rejoint.arms import Arm
+from rejoint.logs.runfolder import files_below
 from rejoint.logs.runlog import read_parquet, write_parquet
 from rejoint.system.errors import FileError
 from rejoint.system.files import reading
@@ -168,22 +168,9 @@ CHECKS = "checks"
 def find_rows(folder: Path) -> tuple[list[HistoryRow], tuple[str, ...]]:
     """Summary rows below a folder, oldest first, and unreadable files."""
     rows, problems = [], []
-    for path in _files(folder):
+    for path in files_below(folder, SUMMARY):
         try:
             rows += read_rows(path)
         except FileError as error:  # whose path may have bytes that are no text
             problems.append(str(error).encode(errors="backslashreplace").decode())
     return sorted(rows, key=lambda row: (row.arm, row.time, row.kind)), tuple(problems)  # joints stay in their order
-
-
-def _files(folder: Path) -> list[Path]:
-    """Files of summary rows, sorted; links are followed, each folder counts once."""
-    found, seen = [], set()
-    for where, below, names in os.walk(folder, followlinks=True):
-        real = os.path.realpath(where)
-        if real in seen:
-            below.clear()
-        elif SUMMARY in names:
-            found.append(Path(where, SUMMARY))
-        seen.add(real)
-    return sorted(path for path in found if path.exists())

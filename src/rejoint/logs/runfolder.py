@@ -166,16 +166,28 @@ class RunFolder:
         return {path.stem: path for path in sorted((self.path / "logs").glob("*.parquet"))}
 
 
+def files_below(folder: Path, name: str) -> list[Path]:
+    """Files of that name in a folder and below it, sorted; links are followed, each folder counts once."""
+    found, seen = [], set()
+    for where, below, names in os.walk(folder, followlinks=True):
+        real = os.path.realpath(where)
+        if real in seen:
+            below.clear()
+        elif name in names:
+            found.append(Path(where, name))
+        seen.add(real)
+    return sorted(path for path in found if path.exists())
+
+
 def runs_below(folder: Path) -> list[Path]:
-    """Files run.json in a folder and below it, the newest first, then those that cannot be read."""
+    """Files run.json in a folder and below it, at any depth; the newest first, then those that cannot be read."""
 
     def begun(path: Path) -> str:
         with suppress(FileError):
             return read_info(path).created
         return ""
 
-    paths = [path for depth in ("", "*/", "*/*/") for path in folder.glob(f"{depth}run.json")]
-    return sorted(paths, key=lambda path: (begun(path), path.stat().st_mtime), reverse=True)
+    return sorted(files_below(folder, "run.json"), key=lambda path: (begun(path), path.stat().st_mtime), reverse=True)
 
 
 def read_info(path: Path) -> RunInfo:
