@@ -18,7 +18,6 @@ from rejoint.arms import Arm
 from rejoint.cli.options import Call, takes
 from rejoint.control.robot import Robot
 from rejoint.control.start import Symptom, look_at_servos
-from rejoint.logs.runfolder import LOGS
 from rejoint.robots import Place, open_robot, place_of
 from rejoint.robots import ports as lines
 from rejoint.runs.run import Run
@@ -153,7 +152,7 @@ def run(case: Surroundings) -> Iterator[Symptom]:
     case.arm = opened.arm
     for part in ("diagnosis", "twin", "policy", "comparison"):
         getattr(opened, part)
-    if place is not None and not opened.robot.startswith(LOGS) and place_of(opened.robot).spot != place.spot:
+    if place is not None and not opened.info.from_logs and place_of(opened.robot).spot != place.spot:
         other = opened.arm.name != place.default_arm and place.family.only
         yield Symptom(
             f"{case.run} is a run of {opened.robot} ({opened.arm.name}), and not of {place}",

@@ -21,7 +21,7 @@ from rejoint.cli.console import HERE, picked, typed
 from rejoint.cli.options import Call, takes
 from rejoint.control.robot import part_of
 from rejoint.control.servogains import in_words, tunable
-from rejoint.logs.runfolder import LOGS, RunFolder, locked, read_effort
+from rejoint.logs.runfolder import RunFolder, locked, read_effort
 from rejoint.robots import BusRobot, place_of
 from rejoint.robots.bus import LOST
 from rejoint.robots.knobs import ServoAddress
@@ -244,7 +244,7 @@ def train(
         trainer = point.load()(learner, job.seed)
     how = rejoint.TrainSettings(generic=generic, trainer=trainer)
     result = call.do(rejoint.train, run=job, preset=preset, quick=quick, settings=how).training
-    call.next(command("compare", "ROBOT" if job.robot.startswith(LOGS) else job.robot, run))  # logs cannot be driven
+    call.next(command("compare", "ROBOT" if job.info.from_logs else job.robot, run))  # logs cannot be driven
     return result
 
 

@@ -61,6 +61,11 @@ class RunInfo:
     """its file, or empty"""
     format: int = FORMAT
 
+    @property
+    def from_logs(self) -> str:
+        """Place of the logs that it was made from; empty: of a robot, which can be driven."""
+        return self.robot.removeprefix(LOGS) if self.robot.startswith(LOGS) else ""
+
 
 @value_type
 class KeptSettings:

@@ -94,7 +94,7 @@ def summarise(run: Run) -> None:
     diagnosis, comparison = run.diagnosis, run.comparison
     if run.folder.quick.exists() or not (diagnosis or comparison):
         return
-    path, kind = run.path / SUMMARY, REPAIR if run.folder.finished.exists() else "run"
+    path, kind = run.path / SUMMARY, REPAIR if run.folder.finished.exists() and not run.info.from_logs else "run"
     before = summary_of(path)
     arm = HistoryRow(
         time=before.time if before and before.kind == kind == REPAIR else utc_now(),

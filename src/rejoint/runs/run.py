@@ -28,7 +28,7 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import UNFINISHED, as_path, digest, read_bounded, read_json_if, reading, unused, write_json
 from rejoint.system.numbers import as_seed
 from rejoint.system.records import Readable, entity
-from rejoint.system.shell import __version__
+from rejoint.system.shell import __version__, command
 from rejoint.twin.twin import Twin, read_twin
 
 if TYPE_CHECKING:
@@ -209,9 +209,8 @@ class Run(Readable):
     def to_pandas(self) -> Any:  # noqa: ANN401 - pandas is not part of the installation
         """Return a `pandas.DataFrame` of the comparison: a row for each controller; InputError before it."""
         if self.comparison is None:
-            raise InputError(
-                f"{self.path} has no comparison yet; make it with: rejoint compare {self.robot} {self.path}"
-            )
+            line = command("compare", "ROBOT" if self.info.from_logs else self.robot, self.path)
+            raise InputError(f"{self.path} has no comparison yet; make it with: {line}")
         return self.comparison.to_pandas()
 
     @property
@@ -241,9 +240,7 @@ def mark_quick(run: Run, *, quick: bool) -> None:
 def finish(run: Run) -> None:
     """Mark a run as finished if no result is missing."""
     folder = run.folder
-    results = (
-        (folder.judgement,) if run.robot.startswith(LOGS) else (folder.diagnosis, folder.policy, folder.comparison)
-    )
+    results = (folder.judgement,) if run.info.from_logs else (folder.diagnosis, folder.policy, folder.comparison)
     if all(path.exists() for path in (folder.twin, *results)):
         _mark(folder.finished)
 

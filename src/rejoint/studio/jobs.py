@@ -20,7 +20,7 @@ from rejoint.control.recording import StageObserver
 from rejoint.control.start import look_at_servos
 from rejoint.diagnosis.calibration.procedure import TouchGauge
 from rejoint.logs.history import find_rows
-from rejoint.logs.runfolder import LOGS, RunFolder, runs_below
+from rejoint.logs.runfolder import RunFolder, runs_below
 from rejoint.robots import is_virtual, place_of, usable
 from rejoint.robots.ports import arm_at, ports
 from rejoint.runs.exports import export_run
@@ -67,7 +67,7 @@ def runs(home: Path, arm: Arm | None = None, name: str = "") -> dict[str, Path]:
         with suppress(RejointError):
             run = Run.open(path.parent)
             other = (arm and run.other_than(arm)) or (name and run.info.name not in ("", name))
-            if ":" in run.robot and not run.robot.startswith(LOGS) and not other:
+            if ":" in run.robot and not run.info.from_logs and not other:
                 found.setdefault(run.robot, run.path)
     return dict(sorted(found.items()))
 

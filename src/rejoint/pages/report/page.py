@@ -27,7 +27,7 @@ from rejoint.diagnosis.calibration.measurements import Measurements, read_measur
 from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.segments import modelled_errors
-from rejoint.logs.runfolder import LOGS, Effort, KeptSettings, RunFolder, RunInfo, cost, read_info, read_settings
+from rejoint.logs.runfolder import Effort, KeptSettings, RunFolder, RunInfo, cost, read_info, read_settings
 from rejoint.logs.runlog import RunLog, read_parquet
 from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report import tables
@@ -175,7 +175,7 @@ class Contents:
     def next_steps(self) -> dict[str, str]:
         """Commands for a repaired arm by what they are for; none before a comparison on a robot."""
         run, robot, targets = self.folder.path, self.info.robot, self.arm.targets
-        if self.comparison is None or robot.startswith(LOGS):
+        if self.comparison is None or self.info.from_logs:
             return {}
         middle = (f"{value:.0f}" for value in 500.0 * (targets.lower + targets.upper))
         steps = {
@@ -210,8 +210,8 @@ class Contents:
         gauge = ["--measure", "camera" if seen else "touch"] if seen or not is_virtual(robot) else []
         diagnose: tuple[object, ...] = (robot, "--run", run, *options)
         identify: tuple[object, ...] = (run,)
-        if robot.startswith(LOGS):
-            diagnose = identify = ("--logs", robot.removeprefix(LOGS), *known, "--run", run)
+        if logs := self.info.from_logs:
+            diagnose = identify = ("--logs", logs, *known, "--run", run)
             robot = "ROBOT"
         return {
             "repair": command("repair", robot, *options, *self.trials),
@@ -280,7 +280,7 @@ def write_replay(folder: Path, judgement: Judgement, *, twin: str, logs: str) ->
 
 def report_html(contents: Contents, gallery: Gallery) -> str:
     """Fill page and gallery."""
-    return render("report.html", it=contents, draw=gallery, logs=LOGS, **_NAMES)
+    return render("report.html", it=contents, draw=gallery, **_NAMES)
 
 
 def target_errors(comparison: Comparison, controller: str) -> TargetErrors:

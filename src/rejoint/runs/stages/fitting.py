@@ -19,7 +19,6 @@ from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import remarks_on, require_commands
 from rejoint.logs.exclusions import answered, powered
-from rejoint.logs.runfolder import LOGS
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run, exclusive, mark_quick
 from rejoint.session.context import ControllerMaker, twin_under
@@ -127,8 +126,8 @@ def identify(
             stack.enter_context(exclusive(about))
             chosen, path, targets = about.arm, about.folder.log("excitation"), about.folder.log("targets")
             if not path.exists():
-                source = about.robot.removeprefix(LOGS)
-                given = f"identify --logs {source}" if about.robot.startswith(LOGS) else f"diagnose {source}"
+                source = about.info.from_logs
+                given = f"identify --logs {source}" if source else f"diagnose {about.robot}"
                 raise FileError(path, "no such file", f"run: rejoint {given} --run {about.path}")
             motions = [RunLog.load(one) for one in (path, targets) if one.exists()]
         else:
