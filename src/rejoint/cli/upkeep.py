@@ -22,6 +22,7 @@ from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGa
 from rejoint.logs.history import find_rows
 from rejoint.robots import place_of
 from rejoint.runs.fleet.campaign import FleetRules, Verb, run_fleet
+from rejoint.runs.fleet.file import known_arms
 from rejoint.runs.history import HEADERS, arms_of, cells, code_of, prometheus_text, write_history
 from rejoint.runs.run import RUNS, Run, newest_or_new
 from rejoint.runs.stages.calibrate import POINTS
@@ -293,9 +294,11 @@ def history(call: Call, folder: Path = RUNS, page: Path | None = None) -> object
         call.message(f"left out: {problem}")
     arms = arms_of(rows)
     if arms:
-        call.table("All arms, the worst first", HEADERS, [cells(one) for one in arms])
+        call.table("All arms with a check or a run, the worst first", HEADERS, [cells(one) for one in arms])
     else:
         call.result(f"There are no checks and no runs below {folder}; begin with: rejoint check ROBOT")
+    if absent := {one.name for one in known_arms()} - {one.name for one in arms}:
+        call.message(f"No check and no run below {folder}: {', '.join(sorted(absent))}")
     path = page or folder / "history.html"
     value = {"arms": [one.newest for one in arms], "left_out": unread}
     try:

@@ -271,8 +271,7 @@ class Campaign:
         folder = self.fleet.folder if step == "check" else self.run_folder(arm).path
         options = {"quick": rules.quick, "plan": rules.plan}
         if step == "check":
-            first = "" if arm.may_repair else "  # first write may_repair = true into the file"
-            options = {"repair": command("fleet", "repair", self.fleet.path, "--only", arm.name) + first}
+            options = {"repair": command("fleet", "repair", self.fleet.path, "--only", arm.name)}
         new = {"seed": rules.seed, "name": arm.name, "fleet": str(self.fleet.path)}
         work = Work(arm=arm, step=step, folder=folder, options=options, new=new)
         if work.moves:
