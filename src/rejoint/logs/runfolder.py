@@ -263,7 +263,7 @@ class StageCost:
 
     name: str
     wall: float = 0.0
-    """[s] wall clock; 0: unknown"""
+    """[s] wall clock"""
     moving: float = 0.0
     """[s] of the arm"""
     travel: float = 0.0
@@ -296,7 +296,7 @@ def cost(one: StageCost) -> str:
     if not one.moving:
         return time
     turns = f"{one.travel / (2 * np.pi):.1f} turns of its joints"
-    return f"{f'{time}; ' if one.wall else ''}{one.moving / 60:.1f} min of the arm's time with {turns}"
+    return f"{time}; {one.moving / 60:.1f} min of the arm's time with {turns}"
 
 
 def add(folder: RunFolder, cost: StageCost) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
@@ -17,10 +16,10 @@ from rejoint.control.controllers.catalogue import POLICY
 from rejoint.control.recording import Observer
 from rejoint.control.servogains import GEARED_POLICY, RIVALS
 from rejoint.control.targets import draw_targets
-from rejoint.logs.runfolder import RunFolder, StageCost, add
+from rejoint.logs.runfolder import RunFolder
 from rejoint.robots import place_of
 from rejoint.runs.history import summarise
-from rejoint.runs.run import Run, exclusive, finish
+from rejoint.runs.run import Run, exclusive, finish, staged
 from rejoint.runs.stages.calibrate import calibrate
 from rejoint.runs.stages.compare import ONE_ARM_PROTOCOL, Compared, ComparisonJob, TrialPlan, compare, comparison_job
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
@@ -265,11 +264,9 @@ def _do(stage: Stage, work: Callable[..., object], run: Run, observer: Observer)
         observer.stage(replace(stage, state="kept", result=_kept(run, stage.name)))
         return
     observer.stage(stage)
-    begun = time.monotonic()
     try:
         result = work(observer=observer)
     finally:
-        add(run.folder, StageCost(name=stage.name, wall=time.monotonic() - begun))
         give_back()
     observer.stage(replace(stage, state="done", result=result))
 
@@ -308,7 +305,7 @@ def report(run: RunLike) -> Path:
     from rejoint.pages.report.page import write_report
 
     found = Run.open(run)
-    with exclusive(found):
+    with exclusive(found), staged(found, "report"):
         page = write_report(found.path)
         finish(found)
         summarise(found)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -287,11 +288,11 @@ def _digest(folder: RunFolder) -> str:
 def staged(run: Run | None, stage: str, path: Path | None = None) -> Iterator[Callable[[Robot], Robot]]:
     """Return what wraps the robots of a stage; the run then knows their motion, which is journaled.
 
-    It adds time and travel to the stage's costs. An error comes with a note on the log of the motion, in the run or
+    Time and travel are added to the stage's costs. An error comes with a note on the log of the motion, in the run or
     beside ``path``.
     """
     file = dated(run, stage) if path is None and run is not None else path
-    journals, moving, travel = list[Journal](), 0.0, 0.0  # one, from the first step on
+    journals, moving, travel, begun = list[Journal](), 0.0, 0.0, time.monotonic()  # one, from the first step on
 
     def watch(robot: Robot) -> Robot:
         before: JointState | None = None
@@ -324,8 +325,8 @@ def staged(run: Run | None, stage: str, path: Path | None = None) -> Iterator[Ca
         for journal in journals:
             journal.discard()
     finally:
-        if run is not None and moving > 0.0:
-            add(run.folder, StageCost(name=stage, moving=moving, travel=travel))
+        if run is not None:
+            add(run.folder, StageCost(name=stage, wall=time.monotonic() - begun, moving=moving, travel=travel))
 
 
 def dated(run: Run, name: str) -> Path:

@@ -19,7 +19,7 @@ from rejoint.logs.exclusions import recorded_gain
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.history import summarise
-from rejoint.runs.run import Run, exclusive, mark_quick
+from rejoint.runs.run import Run, exclusive, mark_quick, staged
 from rejoint.session.inputs import (
     FIRST_ROBOT,
     ArmLike,
@@ -122,7 +122,7 @@ def diagnose(
         given = cast(LogsLike, source)
         kept, known = run_of_logs(run, given, arm)
         chosen = settled(settings, kept, None)[0]
-        with pacing(observer) as update, exclusive(kept):
+        with pacing(observer) as update, exclusive(kept), staged(kept, "diagnose"):
             name, own = source_of(given) if kept is None else kept.robot, to_keep(chosen).laden(known)
             motions = as_logs(given)
             if (p := recorded_gain(motions)) is None:

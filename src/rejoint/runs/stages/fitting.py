@@ -14,13 +14,13 @@ import numpy as np
 from rejoint.arms import Array
 from rejoint.control.controllers.policy import Policy
 from rejoint.control.recording import Observer, pacing
-from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, differing, gains_in_force, search
+from rejoint.control.servogains import GEARED, RIVALS, GainsFound, ServoGains, differing, search, tunable
 from rejoint.control.targets import draw_targets
 from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import remarks_on, require_commands
 from rejoint.logs.exclusions import answered, powered
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.run import Run, exclusive, mark_quick
+from rejoint.runs.run import Run, exclusive, mark_quick, staged
 from rejoint.session.context import ControllerMaker, twin_under
 from rejoint.session.inputs import (
     ArmLike,
@@ -132,6 +132,7 @@ def identify(
             motions = [RunLog.load(one) for one in (path, targets) if one.exists()]
         else:
             raise InputError("identification: neither logs nor a run is given")
+        stack.enter_context(staged(about, "identify"))
         chosen = kept(about).laden(chosen)
         drawn = about.seed if seed is None and about is not None else as_seed(seed)
         if logs is None or (about is None and of_diagnosis(motions)):
@@ -322,6 +323,7 @@ def train(
                     f"{found.path} has no twin.toml; run `rejoint identify {found.path}` first, or ask for a "
                     "policy for any worn arm of this kind with --generic"
                 )
+            stack.enter_context(staged(found, "train"))
             mark_quick(found, quick=quick)
             servo_gains = tuned.under if tuned is not None else None if told is None else told.servo_gains
             if tuned is not None and known is not None:
@@ -392,19 +394,19 @@ def gains(
         pacing(observer) as update,
         noted(),
         Session(robot, run=run, settings=settings, observer=observer) as session,
-        session.metered("gains") as tried,
     ):
-        told, now = session.run and session.run.diagnosis, gains_in_force(session.robot)
-        if told and now and (others := {name for name, _ in differing(told.servo_gains or {}, now)}):
+        told, now = session.run and session.run.diagnosis, tunable(session.robot)[1]
+        if told and (others := {name for name, _ in differing(told.servo_gains or {}, now)}):
             session.observer.message(
                 f"The servos have another {', '.join(sorted(others))} than in the diagnosis, and the search begins "
                 "there. If a search was cut short, switch the arm off and on before the next."
             )
         points = draw_targets(session.arm, sets=1, count=TARGETS, seed=session.seed)[0]
-        found = search(tried, points, limits=session.limits, on_progress=update)
-        if session.run is not None:
-            with saving(found):
-                write_json(set_aside(session.run.folder.gains), found)
+        with session.metered("gains") as tried:
+            found = search(tried, points, limits=session.limits, on_progress=update)
+            if session.run is not None:
+                with saving(found):
+                    write_json(set_aside(session.run.folder.gains), found)
     return found
 
 
