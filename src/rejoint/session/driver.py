@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -40,7 +40,6 @@ from rejoint.control.robot import (
 )
 from rejoint.control.servogains import RIVALS, ServoGains, Tunable, gains_in_force, limits_under, under_gains
 from rejoint.control.start import begin, check_ready, move
-from rejoint.control.targets import in_mm
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import RunFolder
@@ -511,12 +510,12 @@ class ArmDriver:
         twin = self.twin_now
         return None if twin is None else believed_motors(self.arm, twin)
 
-    def say_heavy(self, targets: Array, postures: Array, motors: Motors | None) -> None:
-        """Report ``targets`` (K, 3) [m] whose ``postures`` (K, n) [rad] the ``motors`` may not lift."""
+    def say_heavy(self, places: Iterable[str], postures: Array, motors: Motors | None) -> None:
+        """Report K ``places`` whose ``postures`` (K, n) [rad] the ``motors`` may not lift."""
         if motors is None:
             return
-        judged = zip(targets, heavy(self.arm, postures, motors), strict=True)
-        if found := [f"{in_mm(place)}: {why}" for place, why in judged if why]:
+        judged = zip(places, heavy(self.arm, postures, motors), strict=True)
+        if found := [f"{place}: {why}" for place, why in judged if why]:
             more = f", and {len(found) - NAMED} more" if len(found) > NAMED else ""
             self.observer.message(
                 f"Too heavy by the twin: {'; '.join(found[:NAMED])}{more}. The arm tries, but may not arrive, or not "

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Array, JointTrajectory, Motors, choose_postures, plan, tcp_position
+from rejoint.arms import Array, JointTrajectory, Motors, choose_postures, plan
 from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.posture import OFF, PlannedWay, PostureController, PostureGains, Unloading
 from rejoint.control.correction import tool_error
@@ -156,7 +156,8 @@ class Session(ArmDriver):
             if why:
                 number = f" {k + 1}" if len(targets) > 1 else ""
                 raise InputError(f"target{number} {in_mm(targets[k])}: {why}")
-        self.say_heavy(np.vstack([tcp_position(self.arm, start), targets]), np.vstack([start, found.q]), motors)
+        here = "where the arm is now" if self._rested else "the rest posture"
+        self.say_heavy([here, *map(in_mm, targets)], np.vstack([start, found.q]), motors)
         return with_ways(self.arm, found.q, start, motors=motors)
 
     def move_joints(

@@ -29,6 +29,7 @@ from rejoint.control.controllers.policy import Policy
 from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
 from rejoint.control.robot import JointState, Robot
+from rejoint.control.targets import in_mm
 from rejoint.logs.history import setup_of
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import open_robot
@@ -369,7 +370,8 @@ def comparison_job(
     motors = None if twin is None else believed_motors(arm, twin)
     if targets is None:
         places = points.reshape(-1, 3)
-        session.say_heavy(places, find_postures(arm, places, np.tile(arm.rest, (len(places), 1)), None), motors)
+        postures = find_postures(arm, places, np.tile(arm.rest, (len(places), 1)), None)
+        session.say_heavy(map(in_mm, places), postures, motors)
     else:
         ways = [session.ways(one, turns and turns[k], motors) for k, one in enumerate(points)]
         longest = round(0.05 + max(way.duration for row in ways for way in row), 1)
