@@ -132,7 +132,7 @@ def comparison(done: rejoint.Compared) -> Shown:
 
 def effort(spent: Effort | None) -> Shown:
     """Yield what a repair cost, stage by stage."""
-    if spent is not None and spent.stages:
+    if spent is not None:
         for stage in spent.stages:
             yield f"  {stage.name}: {cost(stage)}"
         yield f"In all: {cost(spent.total)}."

@@ -29,7 +29,7 @@ from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import UNFINISHED, as_path, digest, read_bounded, read_json_if, reading, unused, write_json
 from rejoint.system.numbers import as_seed
 from rejoint.system.records import Readable, entity
-from rejoint.system.shell import __version__, command
+from rejoint.system.shell import __version__
 from rejoint.twin.twin import Twin, read_twin
 
 if TYPE_CHECKING:
@@ -210,8 +210,7 @@ class Run(Readable):
     def to_pandas(self) -> Any:  # noqa: ANN401 - pandas is not part of the installation
         """Return a `pandas.DataFrame` of the comparison: a row for each controller; InputError before it."""
         if self.comparison is None:
-            line = command("compare", "ROBOT" if self.info.from_logs else self.robot, self.path)
-            raise InputError(f"{self.path} has no comparison yet; make it with: {line}")
+            raise InputError(f"{self.path} has no comparison yet; make it with: rejoint compare ROBOT {self.path}")
         return self.comparison.to_pandas()
 
     @property
