@@ -172,7 +172,10 @@ def diagnose(
     if call.settings.dry_run:
         return {"robot": robot}
     if any(row.sweep_gain is not None for row in found.measurement.joints):  # None: no commands that a twin needs
-        call.next(command("identify", *((job.path,) if logs is None else ("--logs", logs, "--run", job.path))))
+        then = ["identify", "--logs", logs]
+        if logs is None:
+            then = ["repair", robot, *[f"--seed={seed}"] * (seed > 0), *["--quick"] * quick]
+        call.next(command(*then, "--run", job.path))
     return {
         "run": job.path,
         "diagnosis": found,
@@ -207,15 +210,14 @@ def identify(
     )
     twin = call.do(rejoint.identify, logs, run=job, plan=plan, seed=seed)
     value = {"run": job.path, "twin": job.folder.twin, **picked(twin, "held_out", "notes")}
-    if logs is None:
-        call.next(command("train", run))
-        return value
-    if twin.judgement is not None:
-        value["judgement"] = offline.show_errors(call, twin.judgement)
-    page = rejoint.report(job)
-    call.result(f"Twin: {job.folder.twin}")
-    call.result(f"Report: {page}")
-    return value | {"report": page, "fitted": twin.fitted}
+    if logs is not None:
+        if twin.judgement is not None:
+            value["judgement"] = offline.show_errors(call, twin.judgement)
+        value |= {"report": rejoint.report(job), "fitted": twin.fitted}
+        call.result(f"Twin: {job.folder.twin}")
+        call.result(f"Report: {job.page}")
+    call.next(command("train", job.path))
+    return value
 
 
 @takes
