@@ -41,10 +41,11 @@ def test_a_comparison_that_is_to_be_made_needs_no_options(tmp_path, diagnosis, r
     [
         ({}, "rejoint check emulated:worn --repeat 5"),
         ({"name": "a1", "fleet": "F.toml"}, "rejoint fleet check F.toml --only a1"),
+        ({"robot": "logs:x", "name": "a1"}, ""),
     ],
 )
 def test_the_check_after_a_repair_is_of_the_same_arm(tmp_path, diagnosis, named, line):
-    folder = Run.plan(tmp_path, "emulated:worn", mycobot280(), **named).begin().folder
+    folder = Run.plan(tmp_path, arm=mycobot280(), **{"robot": "emulated:worn"} | named).begin().folder
     write_json(folder.diagnosis, diagnosis)
     write_json(folder.finished, {})
     rejoint.report(tmp_path)
