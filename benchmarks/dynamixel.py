@@ -21,8 +21,8 @@ from benchmarks.feetech import bus_cost
 from rejoint.arms import Arm, Box
 from rejoint.robots.dynamixel import KIND
 from rejoint.robots.dynamixel.bus import MEASURED, DynamixelBus
-from rejoint_lab.emulator.dynamixel import FAST_SYNC_READ, encode
-from rejoint_lab.emulator.servobus import ADAPTER, BROADCAST, BYTE, SYNC_WRITE, TURN, Packet
+from rejoint_lab.emulator.dynamixel import encode
+from rejoint_lab.emulator.servobus import ADAPTER, BROADCAST, BYTE, SYNC_READ, SYNC_WRITE, TURN, Packet
 from rejoint_lab.plant.plant import XPlant
 from rejoint_lab.plant.wear import Wear
 from rejoint_lab.plant.xseries import NEW
@@ -38,9 +38,9 @@ def asked_of(bus, goal):
     write = KIND.registers["goal"].address.to_bytes(2, "little") + (4).to_bytes(2, "little") + goals
     first, length = bus.span(MEASURED)
     read = first.to_bytes(2, "little") + length.to_bytes(2, "little") + bytes(bus.ids)
-    write, read = (encode(Packet(BROADCAST, *one)) for one in ((SYNC_WRITE, write), (FAST_SYNC_READ, read)))
-    size = 8 + len(bus.ids) * (length + 4)
-    return write, read, size, (len(write) + len(read) + size) * BYTE + TURN + ADAPTER
+    write, read = (encode(Packet(BROADCAST, *one)) for one in ((SYNC_WRITE, write), (SYNC_READ, read)))
+    size = len(bus.ids) * (length + 11)
+    return write, read, size, (len(write) + len(read) + size) * BYTE + len(bus.ids) * TURN + ADAPTER
 
 
 SERVO = "XL330-M288"

@@ -3,7 +3,7 @@
 import os
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from select import select
 from typing import Any, ClassVar, Self
 
@@ -127,29 +127,23 @@ class ServoWire(ABC):
     def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
         """Read ``size`` registers of all ``servos``; without silent ones."""
         judge(self._ask_all(servos, address, size), servos[0])
-        found = {}
-        for servo, error, data in self._answers(len(servos), size):
-            if servo in servos and len(data) == size:
-                found[servo] = data
-                self._take(OK, servo, error)
-                if len(found) == len(servos):
-                    break
+        found = dict[int, bytes]()
+        number, error = self.places
+        for _ in range(2 * len(servos)):  # among them garbled ones
+            if len(found) == len(servos):
+                break
+            packet, result = self._receive()
+            if result in SILENT:
+                break
+            if result == OK and packet[number] in servos and len(data := self._data(packet)) == size:
+                found[packet[number]] = data
+                self._take(OK, packet[number], packet[error])
         return found
 
     def write_all(self, servos: Sequence[int], address: int, data: Sequence[bytes]) -> None:
         """Write registers of all ``servos``, without answers."""
         words = [byte for servo, part in zip(servos, data, strict=True) for byte in (servo, *part)]
         judge(self._client.syncWriteTxOnly(*self._first, address, len(data[0]), words, len(words)), servos[0])
-
-    def _answers(self, count: int, _size: int) -> Iterable[tuple[int, int, bytes]]:
-        """IDs, errors and data of ``count`` answers."""
-        number, error = self.places
-        for _ in range(2 * count):  # among them garbled ones
-            packet, result = self._receive()
-            if result in SILENT:
-                break
-            if result == OK:
-                yield packet[number], packet[error], self._data(packet)
 
     def _take(self, result: int, servo: int, _error: int) -> None:
         judge(result, servo)

@@ -1,16 +1,16 @@
-"""An arm of Dynamixel X servos: one synchronous read of all, in one packet where they can, and one write per cycle.
+"""An arm of Dynamixel X servos: one synchronous read and write per cycle.
 
 Registers that outlast the power are never written. What the driver changes in the others is put back when it closes,
 but for the bus watchdog, which would trip as soon as the bus is quiet.
 """
 
 import contextlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from dynamixel_sdk import BROADCAST_ID, COMM_RX_CORRUPT, PortHandler, Protocol2PacketHandler
+from dynamixel_sdk import COMM_RX_CORRUPT, PortHandler, Protocol2PacketHandler
 
 from rejoint.arms import Arm, Array
 from rejoint.logs.joints import COUNTS_PER_TURN
@@ -18,7 +18,7 @@ from rejoint.robots.bus import Bus, Reading, Vitals
 from rejoint.robots.dynamixel import CURRENT_BASED, KIND, DynamixelAddress
 from rejoint.robots.family import Wire
 from rejoint.robots.knobs import Values
-from rejoint.robots.servobus import QUIET, RETRY, STEP, VOLT, ServoBus, Zeros, listed, trouble
+from rejoint.robots.servobus import RETRY, STEP, VOLT, ServoBus, Zeros, listed, trouble
 from rejoint.robots.servowire import OK, ServoWire, judge
 from rejoint.system.errors import LOGGER, InputError, RejointError, RobotError
 from rejoint.system.stopping import shielded
@@ -33,7 +33,6 @@ ECHO = 0.002
 REFUSED = {4: "a value out of range", 6: "a value beyond a limit", 7: "a register that is locked under torque"}
 """Numbers in an error byte that say why"""
 _LENGTH = 5  # its place in a status packet
-_BETWEEN = 4  # [bytes] error, ID and CRC around each servo's data in a fast answer
 
 
 class DynamixelWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker's package has no types
@@ -44,8 +43,6 @@ class DynamixelWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker'
     def __init__(self, address: Wire) -> None:
         super().__init__(address)
         self._client, self._first = Protocol2PacketHandler(), (self,)
-        self.fast = False
-        """whether all servos answer in one packet"""
         self.alerts: set[int] = set()
         """servos whose last answer had the alert bit"""
 
@@ -78,15 +75,7 @@ class DynamixelWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker'
         return self._client.rxPacket(self, False)
 
     def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
-        return self._client.syncReadTx(self, address, size, list(servos), len(servos), self.fast)
-
-    def _answers(self, count: int, size: int) -> Iterable[tuple[int, int, bytes]]:
-        if not self.fast:
-            return super()._answers(count, size)
-        step = size + _BETWEEN
-        data, result, _ = self._client.fastSyncReadRx(self, BROADCAST_ID, step * count)
-        places = range(0, len(data) if result == OK else 0, step)
-        return [(data[k + 1], data[k], bytes(data[k + 2 : k + 2 + size])) for k in places]
+        return self._client.syncReadTx(self, address, size, list(servos), len(servos), False)
 
     def _data(self, packet: Sequence[int], question: tuple[int, int] | None = None) -> bytes:  # noqa: ARG002
         return bytes(
@@ -217,10 +206,6 @@ class DynamixelBus(ServoBus):
 
     def set_up(self) -> None:
         """Find what is quick, and what was set."""
-        wire, block = self.wire, self.span(MEASURED)
-        wire.fast = True
-        wire.fast = any(len(wire.read_all(self.ids, *block)) == len(self.ids) for _ in range(2))
-        wire.quieten(0.0 if wire.fast else QUIET)
         self._before = self._before or self.read_gains()
         self._care()
         slow = DELAY_UNIT * self.get_all("delay").max()
