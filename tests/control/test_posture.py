@@ -12,6 +12,7 @@ from rejoint.control.controllers.posture import PostureController, _without
 from rejoint.control.guard import GuardLimits
 from rejoint.control.loop import Schedule, run
 from rejoint.control.reference import Reference, ToolAtGoals
+from rejoint.control.robot import Stillness
 from rejoint.control.start import move
 from rejoint.robots import open_robot
 from rejoint_lab.plant.wear import load_wear
@@ -39,6 +40,13 @@ class Ways(Reference):
         self.reference = self.reference + np.clip(goal - self.reference, -reach, reach)
         self.last = state.time.copy()
         return replace(now, goal=self.reference.copy(), arrived=(self.reference == goal).all(axis=1))
+
+
+def test_stillness_by_hand():
+    still, step, stood = Stillness(1.5), np.array([[1.0, 0.0]]), [0, 1, 2, 3, 0, 0.5]
+    times, moved = [5.0, 6.0, 7.0, 8.0, 9.0, 9.5], [0, 0, 1, -1, 2, 3]  # an encoder flickers, then the joint moves
+    found = [still.look(np.array([time]), k * step)[0] for time, k in zip(times, moved, strict=True)]
+    np.testing.assert_array_equal(np.transpose(found), [stood, [0, 1, 2, 3, 4, 4.5]])
 
 
 def test_a_worn_arm_comes_to_postures_and_stays():

@@ -34,7 +34,7 @@ from rejoint.control.guard import (
 from rejoint.control.monitor import Following
 from rejoint.control.recording import GAP, Cycle, LookedAt, OnCycle, Recording, recorded
 from rejoint.control.reference import Reference, TargetSequence
-from rejoint.control.robot import ControlInput, Controller, JointState, Robot, Stillness, part_of, turned_off
+from rejoint.control.robot import ControlInput, Controller, JointState, Robot, part_of, turned_off
 from rejoint.system.errors import GuardTripError, InputError, PowerLostError, RejointError, first_line
 from rejoint.system.numbers import as_floats
 from rejoint.system.records import entity
@@ -51,7 +51,6 @@ _SMOOTHING = 0.1  # share of the newest period in that mean (chosen)
 
 ELSEWHERE = np.radians(5.0)
 """[rad] off the way to the last command, of a joint that others moved"""
-_ROUNDING = 1e-6  # [s] of a difference of times, many times over
 EASE = 1.0
 """[s] of slow motion after a gap"""
 BRAKE, LAG = np.radians(3.0), 0.2
@@ -84,8 +83,6 @@ class Schedule:
     """the other arms go on after a trip"""
     sent: Array | None = None
     """(B, n) [rad] command in force before the run; None: the measured position"""
-    stands_for: float | None = None
-    """[s] stationary after which a dwell ends; None: never"""
     give_up: Callable[[ControlInput], bool] | None = None
     """called once per cycle: whether the arms are done, and hold"""
     ways: float | None = None
@@ -205,8 +202,6 @@ class RunState:
         self.state = state = own(robot.read())
         self.sent = in_force(state, sent)
         self.following = Following(limits.arm, state, self.sent, limits.bands)
-        flicker = [1.5 * limits.arm.encoder_step, 0.0]  # of a reading, and of a command
-        self.stillness = Stillness(np.repeat(flicker, limits.arm.joints))
         self.unbelieved = self.following.falling  # (B, n) joints that are not trusted in this cycle
         self.speed, self.wanted = np.zeros_like(self.sent), self.sent
         self.index, self.doubted = np.zeros((2, count), dtype=np.intp)  # the latter: times that a joint broke loose
@@ -248,18 +243,6 @@ class RunState:
         """(B,) [s] of the dwell: at the end of a way at least what is not for ways."""
         return np.minimum(self._since(), self.inputs.since_target + (self.schedule.ways or 0.0))
 
-    def _leave_out(self, longest: float) -> None:
-        """End the dwell of arrived arms stationary for ``longest`` [s]; call in every cycle, or in none."""
-        stood = self.stillness.look(self.state.time, np.hstack([self.state.position, self.sent]))
-        enough = (stood.min(axis=-1) >= longest) & self.inputs.arrived  # one on its way would leave the clear way
-        if np.count_nonzero(enough):
-            over = self._dwelt() - self.schedule.dwell - _ROUNDING  # below zero by what is left
-            self._shift(enough & (over < 0.0), over)
-            self._ask()
-
-    def _shift(self, where: Mask, by: Array) -> None:
-        self.set_at, self.begun = (np.where(where, old + by, old) for old in (self.set_at, self.begun))
-
     def _advance(self, finished: Mask) -> Mask:
         if not finished.any():
             return finished
@@ -295,7 +278,8 @@ class RunState:
     def _wait(self, where: Mask, elapsed: Array) -> None:
         """Leave a gap of ``elapsed`` (B,) [s] out of the time of what waits."""
         usual = np.where(np.isnan(self.usual), FIRST_PERIOD, self.usual)
-        self._shift(where & self.reference.waits, elapsed - usual)
+        left_out = np.where(where & self.reference.waits, elapsed - usual, 0.0)
+        self.set_at, self.begun = self.set_at + left_out, self.begun + left_out
 
     def _begin_again(self, where: Mask, moved: Mask) -> None:
         self.period = np.where(where, FIRST_PERIOD, self.period)
@@ -312,8 +296,6 @@ class RunState:
 
     def cycle(self) -> bool:
         """Do a cycle; returns whether another follows."""
-        if self.schedule.stands_for is not None:
-            self._leave_out(self.schedule.stands_for)
         before, state, target, aim = self.inputs, self.state, self.place, self.aim
         fresh, index, since, turned = self.active, self.index, self._since(), turned_off(self.robot.arm, before)
         if self.schedule.give_up is not None and self.schedule.give_up(before):

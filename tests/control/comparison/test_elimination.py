@@ -48,9 +48,8 @@ def one_arm():
 
 def test_three_misses_in_a_row_end_it(one_arm):
     found, trials, progress, _ = one_arm
-    ((driven, rows),) = (trial for trial in trials if trial[0].key.controller == "default")
+    ((driven, _),) = (trial for trial in trials if trial[0].key.controller == "default")
     assert driven.key.kind == "crossing", "no hold and no further trial"
-    assert rows.time[-1, 0] - rows.time[0, 0] < 5 * PROTOCOL.dwell, "an arm that stands is not waited for"
     row = found.row("default")
     assert row.out == "missed 3 targets in a row (set 1, repetition 1)"
     assert (row.failures, row.ended) == (0, ())

@@ -108,8 +108,6 @@ class Settings:
     seed: int = 0
     batched: bool
     """side by side on emulated arms, all driven to the end"""
-    wait: bool = False
-    """an arm that is stationary waits for the end of its dwell"""
     protocol: Protocol = field(default_factory=Protocol)
     leave_out: bool = False
     """a policy of another period"""
@@ -332,7 +330,6 @@ class TrialRunner:
         plan = schedule(
             kind,
             settings.protocol,
-            wait=settings.wait,
             keep_going=settings.batched,
             sent=self._sent,
             ways=settings.ways,

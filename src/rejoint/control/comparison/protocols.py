@@ -30,15 +30,11 @@ from rejoint.control.guard import Reason, reason_names
 from rejoint.control.loop import Schedule
 from rejoint.control.recording import Cycle, Recording
 
-STANDS_FOR = 3.0
-"""[s] stationary before a dwell ends (chosen)"""
 
-
-def schedule(kind: Kind, protocol: Protocol, *, wait: bool = True, **options: Any) -> Schedule:  # noqa: ANN401 - its fields
+def schedule(kind: Kind, protocol: Protocol, **options: Any) -> Schedule:  # noqa: ANN401 - its fields
     """Schedule of a protocol, with further ``options``."""
     if kind == "hold":
         return Schedule(dwell=protocol.hold, **options)
-    options["stands_for"] = None if wait else STANDS_FOR
     return Schedule(dwell=protocol.dwell, stop_below=protocol.threshold, **options)
 
 

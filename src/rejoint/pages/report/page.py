@@ -14,7 +14,7 @@ import numpy as np
 from rejoint.arms import Arm, Array, load_arm
 from rejoint.arms.kinematics import GRAVITY
 from rejoint.arms.workspace import reach
-from rejoint.control.comparison import protocols, recommend
+from rejoint.control.comparison import recommend
 from rejoint.control.comparison.result import MODELLED, Comparison, TargetErrors
 from rejoint.control.controllers.catalogue import BASELINES
 from rejoint.control.controllers.classical import DefaultController
@@ -295,7 +295,7 @@ def tilt(found: Calibration) -> float:
 
 
 _CALLED: list[Any] = [target_errors, tilt, above_zero, colour_number, cost, in_base, own_policy, reach]
-_CALLED += [reversals, recommend, calibration, fit, parameters, protocols, tables]
+_CALLED += [reversals, recommend, calibration, fit, parameters, tables]
 _NAMES = {one.__name__.rpartition(".")[2]: one for one in _CALLED}
 """What the templates of report and data sheet call"""
 

@@ -225,7 +225,7 @@ def try_on(
             lambda *_: opened(),
             {"": controller},
             places[:, :count],
-            Settings(seed=family.seed, batched=True, wait=True, protocol=protocol),
+            Settings(seed=family.seed, batched=True, protocol=protocol),
             ways=ways if kind == "hold" else None,
             correction=None if calibrations is None else OwnCorrections(calibrations()),
             on_progress=part(on_progress, done / len(asked), (done + 2) / len(asked)),  # a runner expects two kinds

@@ -336,7 +336,7 @@ def trials(bench: Bench, profile: str, names: Sequence[str], protocol: Protocol,
             for name in names
         },
         bench.targets,
-        Settings(repetitions=repetitions, seed=bench.seed, batched=True, wait=True, protocol=protocol),
+        Settings(repetitions=repetitions, seed=bench.seed, batched=True, protocol=protocol),
         ledger=Ledger(file, repr((__version__, protocol))),
         on_progress=bench.on_progress,
     )
