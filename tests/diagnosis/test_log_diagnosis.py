@@ -315,6 +315,17 @@ def test_current_tells_friction_where_nobody_recorded_commands():
         assert {(row.coulomb_effort, row.viscous_effort) for row in rows} == {(None, None)}
 
 
+def test_one_speed_does_not_tell_dry_friction_from_friction_by_speed():
+    time = np.arange(0.0, 60.0, 0.01)
+    position = np.outer(np.abs((0.2 * time) % 2.0 - 1.0), np.ones(ARM.joints))
+    way = np.sign(np.gradient(position, axis=0))
+    log = as_log("one speed", time, position, np.nan * position)
+    log = replace(log, current=0.4 * way + 0.01 * np.sin(time)[:, None] * way, units={"current": "A"})
+    row = diagnose_logs(ARM, [log], None).measurement.joints[0]
+    assert row.coulomb_effort.value == pytest.approx(0.4, 0.05)
+    assert row.viscous_effort is None
+
+
 def test_noise_of_encoders_does_not_hide_that_torque_is_right():
     clean = states_with_current(0.0, 0.0, 0.002)
     torque = gravity_torque(ARM, clean.position) + inertial_torque(ARM, clean.time, clean.position)

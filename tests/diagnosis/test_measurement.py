@@ -8,8 +8,8 @@ import pytest
 from rejoint.arms import gravity_torque, link_inertia, mycobot280
 from rejoint.diagnosis.excitation import EXCITATION_LABEL, plan_excitation
 from rejoint.diagnosis.measurement import measure
-from rejoint.diagnosis.metrics import gravity_terms
-from rejoint.diagnosis.segments import attach_segments
+from rejoint.diagnosis.metrics import arm_delay, gravity_terms
+from rejoint.diagnosis.segments import ExcitationLog, attach_segments
 from rejoint.logs.runlog import RunLog
 
 ARM = mycobot280()
@@ -101,6 +101,16 @@ def test_damping_ratio(measured):
     truth = DAMPING / (2 * np.sqrt(STIFFNESS * (INERTIA + link_inertia(ARM, ARM.rest))))
     for joint in (0, 1, 2, 3):
         assert measured.joints[joint].damping_ratio.value == pytest.approx(truth[joint], rel=0.3)
+
+
+def test_a_longer_way_to_the_arm_changes_its_delay_alone(log, measured):
+    late = np.stack([np.interp(log.time - 0.15, log.time, angle) for angle in log.position.T], axis=-1)
+    late = dataclasses.replace(log, position=late)
+    before, after = (arm_delay(ExcitationLog.of(ARM, one)) for one in (log, late))
+    assert after - before == pytest.approx(0.15, abs=0.01)
+    for now, then in zip(measure(ARM, late).joints, measured.joints, strict=True):
+        assert now.stiffness_nm_per_rad.value == pytest.approx(then.stiffness_nm_per_rad.value, 0.15)
+        assert now.hunting_rad.value < then.hunting_rad.value + 1e-3
 
 
 def test_encoder_noise_is_measured(log):

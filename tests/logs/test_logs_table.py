@@ -39,6 +39,9 @@ def test_a_declared_time_unit_is_taken_and_rows_are_sorted(tmp_path, unit: str, 
     (log,) = import_logs(source, ARM, out=tmp_path / "logs", options=ImportOptions(time_unit=unit)).logs
     np.testing.assert_allclose(log.time, found.time, rtol=1e-15)
     assert log.position.tolist() == found.position.tolist()
+    dated = replace(scaled, time=scaled.time + 1.7e9 * ticks)
+    (log,) = import_logs(write_table(tmp_path / "dated.csv", dated, {"time_s": "time"}), ARM, out=tmp_path / "3").logs
+    np.testing.assert_allclose(log.time - log.time[0], found.time - found.time[0], atol=1e-6)
     with pytest.raises(InputError, match="exists already"):
         import_logs(source, ARM, out=tmp_path / "logs")
     with pytest.raises(InputError, match="--order, --stamp: nothing"):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rejoint.arms import mycobot280
-from rejoint.logs.runfolder import LOGS, RunFolder, RunInfo, locked
+from rejoint.logs.runfolder import LOGS, RunFolder, RunInfo, locked, runs_below
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.run import Run, exclusive
 from rejoint.system.errors import FileError, InputError
@@ -35,6 +35,13 @@ def test_a_run_that_was_killed_while_it_was_begun_is_begun_again(tmp_path):
     with pytest.raises(InputError, match="not a run folder and not empty"):
         Run.create(other, "emulated:worn", arm)
     assert [path.name for path in other.iterdir()] == ["thesis.tex"]
+
+
+def test_runs_are_found_at_any_depth(tmp_path):
+    deep = tmp_path / "lab" / "repairs" / "a1" / "001" / "run.json"
+    deep.parent.mkdir(parents=True)
+    deep.write_text("{}")
+    assert runs_below(tmp_path) == [deep]
 
 
 def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):

@@ -165,6 +165,14 @@ def test_motion_in_which_a_joint_had_no_power_counts_for_the_others_alone(freedo
     np.testing.assert_allclose(weights(log, limp)[: len(log) - 1, 1], weights(log)[: len(log) - 1, 1])
 
 
+def test_the_end_that_is_held_out_moves():
+    time, command = wandering(0, 20.0)
+    time, command = np.arange(3 * len(time)) * PERIOD, np.pad(command, ((0, 2 * len(time)), (0, 0)), mode="edge")
+    seen, (end,) = part(ARM, [RunLog.of(time, command, command, arm=ARM.name, label="rests")])
+    assert sum(map(len, seen)) + len(end) == len(time)
+    assert 10.0 < end.time[0] < 18.0
+
+
 def test_what_repeats_a_motion_that_is_held_out_is_not_fitted():
     def program(label, seeds, cycles=1, seconds=12.0):
         command = np.concatenate([wandering(seed, seconds)[1] for seed in (*seeds,) * cycles])
