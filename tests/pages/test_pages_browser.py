@@ -28,7 +28,7 @@ def test_what_to_do_is_seen_without_scrolling_sideways(tmp_path, width, medium):
         state="failed",
         error_mm=None,
         found=WHY,
-        todo="mend that, then give the same command again",
+        todo="mend that, then repeat the command",
         steps=(("diagnose", 3.0),),
         folder=tmp_path,
         code=4,

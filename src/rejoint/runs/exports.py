@@ -104,9 +104,7 @@ def _lerobot(run: Run, source: Path | None, out: Path | None) -> tuple[Path, str
         kept = gains_to_keep(run)
     except (FileError, InputError) as error:
         if source is None:
-            raise InputError(
-                f"lerobot needs the arm's calibration file: --lerobot FILE, or 'LeRobot file' on the page ({error})"
-            ) from error
+            raise InputError(f"lerobot needs the arm's calibration file: --lerobot FILE ({error})") from error
     if source is not None:
         motors, changes = corrected_homing(source, run.arm, _rigid(run)[1].offset)
         if path.exists() and path.samefile(source):

@@ -389,7 +389,7 @@ def _row(campaign: Campaign, one: ArmProgress) -> FleetRow:
         state=end,
         error_mm=None,
         found=one.why,
-        todo="mend that, then give the same command again" if end == "failed" else "once that is so: the same command",
+        todo="mend that, then repeat the command" if end == "failed" else "when that is so, repeat the command",
         steps=tuple(one.steps),
         folder=files.path,
         code=one.code,

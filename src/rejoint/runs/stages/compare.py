@@ -169,7 +169,7 @@ class ComparisonJob:
             found = self._drive(ledger, on_progress, helper)
         except BaseException as error:
             if ledger.done:
-                kept = f"What was tried is kept (runs: {len(ledger.done)}): the same command goes on"
+                kept = f"{len(ledger.done)} finished trials are kept. The same command continues"
                 error.add_note(f"{kept}, unless controllers of your own take part.")
             raise
         with saving(found):
