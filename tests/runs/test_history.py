@@ -32,6 +32,7 @@ def measures(error=3.0, hysteresis=2.0):
         joints=joints,
         error_mm=error,
         repeatability_mm=0.2,
+        approach_mm=0.9,
         true_error_mm=None,
         temperature_c=25.0,
     )

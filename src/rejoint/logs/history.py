@@ -94,6 +94,7 @@ class HistoryRow:
     error_mm: float | None = None
     """encoders: AP of a check, diagnosis of a run"""
     repeatability_mm: float | None = None
+    approach_mm: float | None = None
     true_error_mm: float | None = None
     controlled_mm: float | None = None
     """after a repair, see `Outlook.controlled_mm`"""

@@ -2,8 +2,8 @@
 
 Every other joint sweeps slowly, then the rest; the tool visits the poses of ISO 9283:1998, five times from both sides.
 
-ISO 9283: *accuracy* AP is the distance of the mean position from the command, *repeatability* RP the scatter about it.
-ISO 230-2: *reversal value* B, a joint's difference between directions.
+ISO 9283: *accuracy* AP is the distance of the mean position from the command, *repeatability* RP the scatter about it,
+vAP the distance between directions of approach. ISO 230-2: *reversal value* B, a joint's difference between directions.
 """
 
 from collections.abc import Sequence
@@ -119,6 +119,8 @@ class CheckMeasures:
     """AP by encoders, mean over poses and sides"""
     repeatability_mm: float
     """largest RP from one side, of `CYCLES` approaches (standard: 30)"""
+    approach_mm: float
+    """largest vAP of a pose by encoders"""
     true_error_mm: float | None
     """as `error_mm`, of the tool itself"""
     temperature_c: float | None
@@ -153,6 +155,7 @@ def measure_check(arm: Arm, log: RunLog, temperature: Array | None) -> CheckMeas
         joints=rows,
         error_mm=1e3 * float(reversal(seen, goal).mean()),
         repeatability_mm=1e3 * float(position_repeatability(seen).max()),
+        approach_mm=1e3 * float(reversal(seen[:, 0], seen[:, 1]).max()),
         true_error_mm=1e3 * float(reversal(tool, goal).mean()) if np.isfinite(tool).all() else None,
         temperature_c=None if temperature is None else float(np.mean(temperature)),
     )
