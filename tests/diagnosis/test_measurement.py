@@ -103,11 +103,12 @@ def test_damping_ratio(measured):
         assert measured.joints[joint].damping_ratio.value == pytest.approx(truth[joint], rel=0.3)
 
 
-def test_a_longer_way_to_the_arm_changes_its_delay_alone(log, measured):
-    late = np.stack([np.interp(log.time - 0.15, log.time, angle) for angle in log.position.T], axis=-1)
+@pytest.mark.parametrize("delay", [0.1, 0.25])
+def test_a_longer_way_to_the_arm_changes_its_delay_alone(log, measured, delay):
+    late = np.stack([np.interp(log.time - delay, log.time, angle) for angle in log.position.T], axis=-1)
     late = dataclasses.replace(log, position=late)
     before, after = (arm_delay(ExcitationLog.of(ARM, one)) for one in (log, late))
-    assert after - before == pytest.approx(0.15, abs=0.01)
+    assert after - before == pytest.approx(delay, abs=0.01)
     for now, then in zip(measure(ARM, late).joints, measured.joints, strict=True):
         assert now.stiffness_nm_per_rad.value == pytest.approx(then.stiffness_nm_per_rad.value, 0.15)
         assert now.hunting_rad.value < then.hunting_rad.value + 1e-3

@@ -207,7 +207,7 @@ CHANCE = 3.0
 
 LIMITED = 0.97
 """Share of the largest torque that may be a limit; chosen"""
-UNEVEN = 2.0
+UNEVEN = 1.5
 """Ratio of speeds that tell friction by speed from dry friction; chosen"""
 
 FADE = 2.0
@@ -482,7 +482,7 @@ def noise(data: ExcitationLog, joint: int) -> Estimate | None:
 
 
 LONGEST, SLOWEST = 0.08, 0.3
-"""[s] delay that is tried, or two periods of a slow bus, and beyond which no longer one is; chosen"""
+"""[s] longest delay of a usual link, or two periods of a slow bus, and of any; chosen"""
 
 _USUAL_DELAY = 0.02
 """[s] where no joint moves; chosen"""
@@ -515,17 +515,21 @@ _MIN_RATIO = 5e-5
 """[s^2] least trusted J/k: 22 Hz; chosen"""
 
 
-def arm_delay(data: ExcitationLog, longest: float = LONGEST) -> float:
+def arm_delay(data: ExcitationLog) -> float:
     """Delay [s] of commands and answers: lower quartile of the joints."""
-    found, delays = [], np.arange(0.005, max(longest, 2.0 * data.log.period) + 1e-4, 0.005)
+    longest, far = max(LONGEST, 2.0 * data.log.period), _delay(data, SLOWEST)
+    return far if far > longest else _delay(data, longest)
+
+
+def _delay(data: ExcitationLog, longest: float) -> float:
+    found, delays = [], np.arange(0.005, longest + 1e-4, 0.005)
     for joint in range(data.arm.joints):
         motion = _motion(data, joint, delays)
         if len(motion.time) >= _MIN_WINDOWS:  # a joint that does not move has no time of its own
             fits = np.asarray(np.linalg.lstsq(motion.design, motion.error.T, rcond=None)[0].T)
             costs = _onset_costs(data, joint, delays, fits)
             found += [_lowest(delays, costs)] if np.isfinite(costs).any() else []
-    delay = np.quantile(found, 0.25) if found else _USUAL_DELAY
-    return arm_delay(data, 2.0 * longest) if delays[-1] <= delay < SLOWEST else delay
+    return np.quantile(found, 0.25) if found else _USUAL_DELAY
 
 
 def _lowest(delays: Array, cost: Array) -> float:
