@@ -8,7 +8,7 @@ from typing import cast
 
 import numpy as np
 
-from rejoint.arms import Arm
+from rejoint.arms import Arm, Array
 from rejoint.control.recording import Observer, pacing
 from rejoint.control.servogains import gains_in_force
 from rejoint.diagnosis.diagnosis import Diagnosis, diagnose_logs, judge
@@ -125,10 +125,7 @@ def diagnose(
         with pacing(observer) as update, exclusive(kept), staged(kept, "diagnose"):
             name, own = source_of(given) if kept is None else kept.robot, to_keep(chosen).laden(known)
             motions = as_logs(given)
-            if (p := recorded_gain(motions)) is None:
-                p = np.full(own.joints, MEASURED[0])  # unknown: nothing is too soft that is none with LeRobot's
-            servos = {"p": tuple(p.astype(int).tolist())}
-            reference = _known_good(known, healthy) or healthy_reference(own, gains=servos)
+            reference = _known_good(known, healthy) or _reference(own, recorded_gain(motions))
             told = diagnose_logs(own, motions, reference, source=name, on_progress=update)
             if kept is not None:
                 write_json(kept.begin().folder.diagnosis, told)
@@ -166,6 +163,14 @@ def diagnose(
                     summarise(session.run)
                 keep(session.run, session.settings)
         return result
+
+
+def _reference(arm: Arm, p: Array | None) -> HealthyReference | None:
+    """Healthy arm with the ``p`` (n,) that logs record, else with LeRobot's: nothing is soft that would not be then."""
+    if p is not None and (p >= MEASURED[0] / 2).all() and (p <= MEASURED[-1]).all():
+        return healthy_reference(arm, gains={"p": tuple(p.tolist())})
+    found = healthy_reference(arm, gains={"p": (MEASURED[0],) * arm.joints})
+    return found and replace(found, setting=found.setting.replace("P =", "an assumed P ="))
 
 
 def _known_good(arm: Arm, healthy: RunLike | Diagnosis | None) -> HealthyReference | None:
