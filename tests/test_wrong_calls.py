@@ -89,6 +89,7 @@ follow emulated:worn run | 'PATH'
 identify | --logs FOLDER
 identify run | rejoint diagnose
 identify folder | no run folder
+identify --logs folder --arm so101 --gain a=half | MOTION=NUMBER
 train run | rejoint identify run
 train run --learner td3 | ppo
 compare emulated:worn run --controllers integrator,shelff | 'shelff'

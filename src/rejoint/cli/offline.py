@@ -24,7 +24,6 @@ from rejoint.runs.run import RUNS, Run
 from rejoint.session.inputs import arm_of_twin, run_of_twin, settled
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
-from rejoint.system.numbers import as_positive
 from rejoint.system.shell import command
 
 if TYPE_CHECKING:
@@ -66,7 +65,10 @@ def by_motion(given: list[str] | None) -> dict[str, float]:
     found = {}
     for one in given or []:
         name, _, value = one.rpartition("=")
-        found[name] = as_positive(f"the gain of motion {name!r}", value, "MOTION=NUMBER")
+        try:
+            found[name] = float(value)
+        except ValueError as error:
+            raise InputError(f"{one!r}: expected MOTION=NUMBER") from error
     return found
 
 

@@ -40,7 +40,7 @@ from rejoint.session.inputs import (
 from rejoint.session.session import Session
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import saving, set_aside, write_json
-from rejoint.system.numbers import as_seed
+from rejoint.system.numbers import as_positive, as_seed
 from rejoint.system.records import Readable, as_options, entity
 from rejoint.system.stopping import noted
 
@@ -155,7 +155,12 @@ def _at_gains(logs: list[RunLog], gain: Mapping[str, float]) -> list[RunLog]:
     names = [log.label for log in logs]
     if unknown := sorted(set(gain) - set(names)):
         raise InputError(f"gain: there is no motion {', '.join(unknown)}; there are {', '.join(names)}")
-    return [replace(x, gain=np.full_like(x.position, gain.get(x.label, 1.0))) for x in logs] if gain else logs
+    if not gain:
+        return logs
+    if recorded := [log.label for log in logs if log.gain is not None]:
+        raise InputError(f"gain: {', '.join(recorded)} records its own; leave yours out")
+    known = {name: as_positive(f"gain of {name}", one, "a number above zero") for name, one in gain.items()}
+    return [replace(x, gain=np.full_like(x.position, known.get(x.label, 1.0))) for x in logs]
 
 
 TWIN = "twin"
