@@ -437,8 +437,8 @@ class _GroupedColumns:
             )
         unit = column.unit or declared or self.implied.get(column.group)
         if unit is None and kind == "time":  # a date of this century has one unit
-            (first,) = self._read([column])[0]
-            unit = next((one for one, ticks in TIME_UNITS.items() if 1e9 < first / ticks < 4e9), None)
+            for (first,) in self._read([column])[:1]:
+                unit = next((one for one, ticks in TIME_UNITS.items() if 1e9 < first / ticks < 4e9), None)
         if unit is None:
             endings = " or ".join(f"{column.title}_{unit}" for unit in UNITS[column.group])
             remedy = f"rename it {endings}" + f" or set {option}" * (kind in ("angle", "time"))

@@ -347,7 +347,7 @@ def _cut(log: RunLog, share: float) -> int:
     moves = np.abs(velocity(log.time, log.position, VELOCITY)).max(axis=1) > STILL_SPEED
     passed, since = np.cumsum(moves + 1e-3), log.time - log.time[0]
     steps = since[np.searchsorted(passed, share * passed[-1])] / GRID
-    return int(np.searchsorted(since, GRID * np.round(steps) - 1e-9))
+    return int(np.searchsorted(since, GRID * np.round(steps) - 1e-9).clip(1, len(log) - 1))
 
 
 def repeated(logs: Sequence[RunLog], others: Sequence[RunLog]) -> list[Mask]:
