@@ -216,7 +216,8 @@ def identify(
         value |= {"report": rejoint.report(job), "fitted": twin.fitted}
         call.result(f"Twin: {job.folder.twin}")
         call.result(f"Report: {job.page}")
-    call.next(command("train", job.path))
+    if twin.judgement is None or not twin.judgement.doubts:
+        call.next(command("train", job.path))
     return value
 
 

@@ -100,7 +100,7 @@ def calibrate(
         call.next(command("deploy", robot, run))
     value = {
         "run": run,
-        **picked(found.calibration, "used", "points", "suspects"),
+        **picked(found.calibration, "used", "points", "suspects", "wrong_zeros"),
         "before_mm": 1e3 * found.before,
         "after_mm": 1e3 * found.after,
         "reversal_mm": [1e3 * one for one in found.reversal],
@@ -297,8 +297,11 @@ def history(call: Call, folder: Path = RUNS, page: Path | None = None) -> object
         call.table("All arms with a check or a run, the worst first", HEADERS, [cells(one) for one in arms])
     else:
         call.result(f"There are no checks and no runs below {folder}; begin with: rejoint check ROBOT")
-    if absent := {one.name for one in known_arms()} - {one.name for one in arms}:
-        call.message(f"No check and no run below {folder}: {', '.join(sorted(absent))}")
+    try:
+        if absent := {one.name for one in known_arms()} - {one.name for one in arms}:
+            call.message(f"No check and no run below {folder}: {', '.join(sorted(absent))}")
+    except FileError as error:
+        call.message(str(error))
     path = page or folder / "history.html"
     value = {"arms": [one.newest for one in arms], "left_out": unread}
     try:

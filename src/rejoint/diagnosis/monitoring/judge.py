@@ -495,8 +495,8 @@ def _act(found: Outlook, worst: Change, repair: str) -> str:
     loaded = {one.joint for one in found.changes if one.state == found.state and one.quantity in ("sag", "deviation")}
     if worst.better or len(loaded - {""}) > 1:  # wear lessens nothing, and comes to one joint at a time
         return (
-            f"if the hand carries another load, the base stands otherwise, or {whose} was changed, check with --moved "
-            f"--repeat 5; else {act}"
+            f"if the hand carries another load, the base stands otherwise, or {whose} changed, check with --moved "
+            f"--repeat 5; if not, {act}"
         )
     return act
 
