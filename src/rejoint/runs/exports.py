@@ -15,7 +15,7 @@ from rejoint.control.controllers.catalogue import POLICY, SHELF, shelf_policy
 from rejoint.control.controllers.feedforward import CommandLaw, FeedforwardController
 from rejoint.control.controllers.policy import check_contract
 from rejoint.control.servogains import in_words, inner_name
-from rejoint.diagnosis.calibration.calibration import Calibration
+from rejoint.diagnosis.calibration.calibration import OFFSET, Calibration
 from rejoint.logs.joints import corrected_homing, write_homing
 from rejoint.pages.html import render
 from rejoint.runs.run import Run
@@ -86,7 +86,9 @@ def _rigid(run: Run) -> tuple[Calibration, Displacement]:
             "correcting by it does not clearly help, so there is nothing to export",
             "measure more points",
         )
-    return found, found.displacement.rigid(run.arm, posture_grid(run.arm, 3).q)
+    rigid = found.displacement.rigid(run.arm, posture_grid(run.arm, 3).q)
+    told = np.sqrt(np.diag(found.covariance))[found.layout.at("offset")] <= OFFSET  # points see no last joint's turn
+    return found, replace(rigid, offset=rigid.offset * told)
 
 
 def _unit(run: Run) -> Arm:
