@@ -87,7 +87,7 @@ def _rigid(run: Run) -> tuple[Calibration, Displacement]:
             "measure more points",
         )
     rigid = found.displacement.rigid(run.arm, posture_grid(run.arm, 3).q)
-    told = np.sqrt(np.diag(found.covariance))[found.layout.at("offset")] <= OFFSET  # points see no last joint's turn
+    told = found.sigma("offset") <= 2.0 * OFFSET  # points see no last joint's turn
     return found, replace(rigid, offset=rigid.offset * told)
 
 

@@ -270,11 +270,15 @@ class Calibration(Readable):
         """Places of the parameters in the covariance."""
         return DisplacementLayout(self.arm)
 
+    def sigma(self, kind: str) -> Array:
+        """Return the standard deviations of one of `KINDS`."""
+        return np.sqrt(np.diag(self.covariance))[self.layout.at(kind)]
+
     @property
     def wrong_zeros(self) -> dict[str, float]:
         """Offsets [rad] that no healthy joint has."""
-        offset, sigma = self.displacement.offset, np.sqrt(np.diag(self.covariance))[self.layout.at("offset")]
-        wrong = np.flatnonzero(np.abs(offset) > 3.0 * (OFFSET + sigma))
+        offset = self.displacement.offset
+        wrong = np.flatnonzero(np.abs(offset) > 3.0 * (OFFSET + self.sigma("offset")))
         return {self.arm.joint_names[joint]: float(offset[joint]) for joint in wrong}
 
     def require(self, arm: Arm) -> None:

@@ -97,9 +97,9 @@ def _guard(row: ControllerRow) -> Cell:
 
 def behind(found: Calibration) -> list[tuple[str, list[Cell]]]:
     """Offset, compliance and play per joint [deg, deg/(N m), deg], with the fit's intervals."""
-    sigma, by_kind = np.sqrt(np.diag(found.covariance)), []
+    by_kind = []
     for kind in ("offset", "compliance", "play"):
-        value, half = getattr(found.displacement, kind), NORMAL95 * sigma[found.layout.at(kind)]
+        value, half = getattr(found.displacement, kind), NORMAL95 * found.sigma(kind)
         low = value - half if kind == "offset" else np.maximum(value - half, 0.0)
         by_kind.append([measured(Estimate(*ends), DEG) for ends in zip(value, low, value + half, strict=True)])
     return [(name, cells) for name, *cells in zip(found.arm.joint_names, *by_kind, strict=True)]
