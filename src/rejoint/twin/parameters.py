@@ -131,10 +131,9 @@ PARAMETERS: tuple[Parameter, ...] = (
               nominal=0.0, sigma=1e-4, lower=0.0, upper=2.0, log=False, difference=0.02,
               wide={"sigma": 0.3}),  # chosen: gears take up to half of what they pass on
     Parameter(name="stiction", unit="1", meaning="dry friction at rest over that in motion",
-              # chosen: dry gears
-              nominal=2.0, sigma=0.15, healthy=0.5, lower=1.0, upper=2.5, log=False, difference=0.1, beside=0.4,
               # measured on a real low-cost arm
-              wide={"nominal": 1.25, "sigma": 0.4, "alike": 0.1}),
+              nominal=1.25, sigma=0.4, healthy=0.8, lower=1.0, upper=2.5, log=False, difference=0.1, beside=0.4,
+              wide={"alike": 0.1}),
     Parameter(name="armature", unit="kg m^2", meaning="inertia of motor and gears at the joint",
               nominal=0.02, sigma=0.4, lower=0.002, upper=0.1, by_load=True, by_time=2,
               # measured: 0.01 to 0.03 kg m^2 for geared hobby servos
