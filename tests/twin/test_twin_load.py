@@ -21,18 +21,21 @@ def identified(logs):
 
 
 @pytest.mark.parametrize(
-    ("mass", "sign", "zero", "integral", "named"),
+    ("up", "mass", "sign", "zero", "integral", "named"),
     [
-        (0.0, 1.0, 0, 0.0, ""),
-        (0.2, 1.0, 0, 0.0, "payload"),
-        (0.0, -1.0, 0, 0.0, "shoulder_lift"),
-        (0.0, 1.0, 15, 0.0, "shoulder_lift"),
-        (0.0, 1.0, 0, 1.0, "integral"),
+        (1.0, 0.0, 1.0, 0, 0.0, ""),
+        (-1.0, 0.0, 1.0, 0, 0.0, "gravity"),
+        (1.0, 0.2, 1.0, 0, 0.0, "payload"),
+        (1.0, 0.0, -1.0, 0, 0.0, "shoulder_lift"),
+        (1.0, 0.0, 1.0, 15, 0.0, "shoulder_lift"),
+        (1.0, 0.0, 1.0, 0, 1.0, "integral"),
     ],
 )
-def test_a_load_a_sign_a_zero_or_a_controller_that_is_wrong_is_doubted(mass, sign, zero, integral, named):
+def test_a_base_a_load_a_sign_a_zero_or_a_controller_that_is_wrong_is_doubted(up, mass, sign, zero, integral, named):
     turned, off = np.array([1.0, sign, 1.0, 1.0, 1.0]), np.radians(zero) * np.eye(ARM.joints)[1]
-    logs = motions(2.0, 0.5, own=loaded(ARM, Payload(mass=mass), None), integral=integral)
+    base = np.diag([1.0, up, up, 1.0]) @ ARM.offset[:1]
+    mounted = replace(ARM, offset=np.concatenate([base, ARM.offset[1:]]))
+    logs = motions(2.0, 0.5, own=loaded(mounted, Payload(mass=mass), None), integral=integral)
     logs = [replace(log, position=turned * log.position + off, command=turned * log.command + off) for log in logs]
     twin = identified(logs)
     assert bool(twin.judgement.doubts) == bool(named)

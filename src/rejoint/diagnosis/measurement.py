@@ -59,7 +59,8 @@ SAG = within(1.0, 0.04)
 
 CLEARER, DOUBTED = 2.0, 25.0
 """Least sag explained, in squared standard errors: times that by the model's gravity, for other than loads and zeros,
-and beyond it, but for loads without the joint that gains most; chosen: right zeros reach 6 beyond, 18 with wrong masses
+and beyond it, for signs, orders and zeros without the joint that gains most; chosen: right zeros reach 6 beyond, 18
+with wrong masses
 """
 
 FADED, BEYOND = 1.2, 5.0
@@ -277,14 +278,15 @@ def sag_doubt(data: ExcitationLog) -> str:
     mirrors = [eye, *(eye - 2.0 * np.outer(way, way) / (way @ way) for way, _ in ways)]
     pulls, *others = mirrored_pulls(replace(data, segments=tuple(few)), np.stack(mirrors))
     right, tried = _explained(pulls), [(_explained(one), words) for one, (_, words) in zip(others, ways, strict=True)]
-    for along in (np.linalg.pinv(pulls[:, :3, :3], 1e-6) @ pulls[:, :3, -1:])[..., 0]:  # those of single joints
+    bases = []
+    for j, along in enumerate((np.linalg.pinv(pulls[:, :3, :3], 1e-6) @ pulls[:, :3, -1:])[..., 0]):
         where = tuple((np.round(along / max(np.linalg.norm(along), 1e-12), 1) + 0.0).tolist())
         base = (
             f"gravity pulled along {where} of the base, not along (0, 0, -1): if the arm is mounted so, let a fixed "
             "joint in its file turn the base; else check signs and zeros, and whether a spring or the controller "
             "carries more than the weight"
         )
-        tried.append((_explained(pulls, along), base))
+        bases.append(((1.0 - eye[j]) * _explained(pulls, along), base))  # the other joints tell whether it is gravity
     load = "the tip carried more: if it did, weigh that and diagnose with --payload; else check the zeros of the joints"
     loads = [(_explained(pulls, np.append(GRAVITY, one)), load) for one in data.arm.mass.sum() * LOADS]
     zeros = []
@@ -299,6 +301,7 @@ def sag_doubt(data: ExcitationLog) -> str:
     found = []
     for guesses, clearer, beyond, last in (
         (tried, CLEARER, DOUBTED, -1),
+        (bases, CLEARER, DOUBTED, None),
         (loads, 1.0, DOUBTED, None),
         (zeros, 1.0, DOUBTED, -1),
         ([(_explained(pulls, fading), integral)], FADED, BEYOND, None),
