@@ -362,13 +362,13 @@ def back_emf(arm: Arm, twin: TwinParameters) -> Array:
     return np.clip(twin.torque_limit / (NO_LOAD * arm.max_speed), least, twin.damping)
 
 
-RUBBING = 0.15
-"""Friction over load, and a margin for an unknown load; chosen"""
+BREAKAWAY, RUBBING = 2.0, 0.15
+"""Dry friction at rest over that in motion, of dry gears; friction over load, with a margin for more load; chosen"""
 
 
 def lifting_torque(twin: TwinParameters) -> Array:
     """Return the torque (..., n) [N m] that motors lift from rest, against their friction."""
-    usable = (twin.torque_limit - twin.stiction * twin.coulomb) / (1.0 + RUBBING)
+    usable = (twin.torque_limit - BREAKAWAY * twin.coulomb) / (1.0 + RUBBING)
     return np.maximum(usable, 0.1 * twin.torque_limit)
 
 
