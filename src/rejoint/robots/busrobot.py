@@ -106,6 +106,7 @@ class Continuity:
         elif command is not None and self._command_then is None:
             self._command_then = self._accepted[-1][1]
         self._accepted.append((time, position))
+        self._doubted = None
         if command is None or self._command_then is None:
             return 0.0
         if self._waiting_since is None:
