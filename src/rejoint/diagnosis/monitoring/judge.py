@@ -214,8 +214,8 @@ class Change:
 
     @property
     def better(self) -> bool:
-        """Whether the quantity fell: wear never does that."""
-        return abs(self.now_mm) < abs(self.usual_mm)
+        """Whether the quantity fell, or turned round: wear never does that."""
+        return self.now_mm * (1.0 if self.usual_mm >= 0.0 else -1.0) < abs(self.usual_mm)
 
 
 @value_type
@@ -487,8 +487,8 @@ def _act(found: Outlook, worst: Change, repair: str) -> str:
     whose = f"the servo of {worst.joint}" if worst.joint else "the servos"
     if found.later:
         return "look at the connection and the computer (rejoint doctor)" + f", then {repair}" * found.over
-    act = f"{repair}; if the tool misses its tolerance then, change {whose}"
-    if not found.over and found.state != "alarm":
+    act = f"{repair}; if the tool misses its tolerance then, and nothing blocks or pulls the arm, change {whose}"
+    if not found.over and (found.state != "alarm" or worst.better):
         act = "check again within a week; no repair yet"
     elif worst.quantity == "deviation":
         act = f"look whether {worst.joint} has slipped or was set again (then check with --moved); else {repair}"
