@@ -64,7 +64,7 @@ def found(logs):
         ("half scale", {("shoulder_pan", "stuck")}),
         ("half gain", set()),
         ("ringing pan", {("shoulder_pan", "low_damping")}),
-        ("unknown zeros", {("elbow_flex", "hysteresis"), ("elbow_flex", "lag")}),  # as sag tells no stiffness
+        ("unknown zeros", {("elbow_flex", "hysteresis")}),  # as sag tells no stiffness
     ],
 )
 def test_one_wear_is_named_and_nothing_else(found, name, expected):

@@ -223,7 +223,8 @@ def weak_gain(case: _Case) -> Found:
     k, weight = case.value("stiffness_nm_per_rad"), (case.levers * case.loads).mean()
     held = case.lever * np.nan_to_num(case.value("coulomb_nm"))
     sags = f"sags under the arm's own weight: it hangs {np.degrees(case.loads.mean() / k):.1f} deg low"
-    return (weight + held) / k, f"is soft and {sags if weight > held else 'stops short of where it is sent'},"
+    cost = min((weight + held) / k, (case.levers * case.errors).mean() if case.errors.any() else np.inf)
+    return cost, f"is soft and {sags if weight > held else 'stops short of where it is sent'},"
 
 
 def friction(case: _Case) -> Found:
@@ -286,9 +287,9 @@ def low_damping(case: _Case) -> Found:
 
 
 def lag(case: _Case) -> Found:
-    """Report a joint that is late, but not by a weak gain."""
+    """Report a joint that is late, but not by a weak gain, which widens its hysteresis as well."""
     usual, late = case.usual("lag_s"), case.value("lag_s")
-    if case.soft or not case.low("lag_s") - case.common_lag > _end(usual.high):
+    if case.soft or hysteresis(case) or not case.low("lag_s") - case.common_lag > _end(usual.high):
         return None
     return case.lever * WORKING_SPEED * (late - case.common_lag - usual.value), (
         f"follows late: {late * 1e3:.0f} ms behind its command{case.against('lag_s', '.0f', 1e3)}; "
