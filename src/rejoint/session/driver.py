@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -25,7 +25,7 @@ from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.controllers.posture import PostureController, PostureGains
 from rejoint.control.correction import Modelled, tool_error
 from rejoint.control.guard import GuardLimits, clear_by
-from rejoint.control.loop import Schedule, run
+from rejoint.control.loop import Schedule, brake, run
 from rejoint.control.recording import PIECE, Cycle, Observer, OnCycle, Recording, recorded, recording_of
 from rejoint.control.reference import Reference
 from rejoint.control.robot import (
@@ -619,11 +619,22 @@ class ArmDriver:
 
         self.drive(controller, Schedule(dwell=timeout, give_up=look), reference)
         if not (reached or motion.ended.is_set()):
+            self.brake()  # what is in the way, or weighs too much, bears no full torque for long
             heavy_there = self.overloaded(here)
             raise NotReachedError(
                 f"the arm did not come within {wanted} of {motion.goal}, still {left} off; it holds. {lags}. Give it "
                 f"more time or room, or look whether something is in its way{heavy_there and f'; {heavy_there}'}"
             )
+
+    def brake(self) -> None:
+        """Let the arm rest about where it is."""
+        if self._last is None:
+            return
+        braking = brake(self.robot, self._last)
+        if braking is not self._last:
+            self._sent = braking.command
+            with suppress(Exception):  # the arm holds, whatever an observer makes of it
+                self._see(braking, self.recorder.see)
 
     def go(self, posture: Array, give_up: Callable[[ControlInput], bool]) -> None:
         """Bring the arm slowly to ``posture`` (n,) [rad]."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from concurrent import futures
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from math import radians
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -18,7 +18,7 @@ from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.posture import OFF, PlannedWay, PostureController, PostureGains, Unloading
 from rejoint.control.correction import tool_error
 from rejoint.control.guard import GuardLimits, clear_by
-from rejoint.control.loop import Schedule, brake
+from rejoint.control.loop import Schedule
 from rejoint.control.recording import PIECE, Cycle, Observer, cycle_at_rest
 from rejoint.control.reference import Reference, TargetSequence, with_ways
 from rejoint.control.targets import Pose, in_mm, placed
@@ -408,12 +408,8 @@ class Session(ArmDriver):
                 motion.exception()  # when it is over
             self._goals = None
             self.robot.stop()
-            if motion is not None and self._last is not None:
-                braking = brake(self.robot, self._last)
-                if braking is not self._last:
-                    self._sent = braking.command
-                    with suppress(Exception):  # the arm holds, whatever an observer makes of it
-                        self._see(braking, self.recorder.see)
+            if motion is not None:
+                self.brake()
 
     def close(self) -> None:
         """End the motion, keep the log and release the arm, which holds; raises what ended the last motion."""
