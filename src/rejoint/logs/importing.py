@@ -40,12 +40,12 @@ PAUSE_PERIODS = 5.0
 """median periods in a pause at least, and around scattered corrupt rows (chosen)"""
 
 
-def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
+def parted(motion: RecordedMotion, arm: Arm) -> Iterator[RecordedMotion]:
     """Split at pauses and corrupt numbers; FileError beyond `DAMAGED`."""
     notes, bad = list(motion.notes), ~np.isfinite(motion.time)
     for what, values in {"state": motion.position, "command": motion.command}.items():
         if values is not None:
-            bad |= _corrupt(motion, what, values)
+            bad |= _corrupt(motion, what, values, arm)
     good = np.flatnonzero(~bad)
     steps = np.diff(motion.time[good])
     if not len(steps) or not (steps >= 0).all():
@@ -72,7 +72,7 @@ def parted(motion: RecordedMotion) -> Iterator[RecordedMotion]:
         yield replace(motion.take(piece), name=name, notes=notes)
 
 
-def _corrupt(motion: RecordedMotion, what: str, values: Array) -> Mask:
+def _corrupt(motion: RecordedMotion, what: str, values: Array, arm: Arm) -> Mask:
     """Return rows (T,) with a corrupt number."""
     unknown = ~np.isfinite(values)
     missing = unknown.any(axis=1)
@@ -84,7 +84,7 @@ def _corrupt(motion: RecordedMotion, what: str, values: Array) -> Mask:
             "values that are not finite",
             "mend the values or cut the rows",
         )
-    huge = missing | (np.abs(values) > TWO_TURNS).any(axis=1)
+    huge = missing | ((np.abs(values) > TWO_TURNS) & ~arm.endless).any(axis=1)
     return np.asarray(huge if huge.mean() <= DAMAGED else missing)
 
 
@@ -225,7 +225,7 @@ def import_logs(
         with refusing(path.stem):
             for motion in READERS[chosen].read(path, watched):
                 with refusing(motion.name):
-                    for part in parted(read_motion(motion, arm, watched, source=path.resolve(), kind=chosen)):
+                    for part in parted(read_motion(motion, arm, watched, source=path.resolve(), kind=chosen), arm):
                         name = _file_name(part.name)
                         with refusing(name):
                             log, remarks = to_log(part, arm, watched)

@@ -16,7 +16,7 @@ from rejoint.arms import Arm, Array
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import read_bounded, read_shipped, read_toml, reading, write_text
 
-AngleUnit = Literal["rad", "deg", "normalised"]
+AngleUnit = Literal["rad", "deg", "rev", "normalised"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
 Stamp = Literal["header", "log"]
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
@@ -51,7 +51,7 @@ class ImportOptions:
     """Declarations about imported files; None: as in the file."""
 
     angle_unit: AngleUnit | None = None
-    """``rad``, ``deg``, or ``normalised`` for LeRobot's -100..100"""
+    """``rad``, ``deg``, ``rev``, or ``normalised`` for LeRobot's -100..100"""
     time_unit: TimeUnit | None = None
     """``s``, ``ms``, ``us`` or ``ns``"""
     rate: float | None = None

@@ -20,7 +20,7 @@ TEXT_MOST = 200 * MEGABYTE
 """[bytes] (chosen)"""
 DAMAGED = 0.02
 """Largest share of damaged numbers (chosen)"""
-ANGLES = {"deg": np.pi / 180.0, "rad": 1.0}
+ANGLES = {"deg": np.pi / 180.0, "rad": 1.0, "rev": 2.0 * np.pi}
 """[rad] units of angles in titles"""
 LENGTHS = {"mm": 1e-3, "um": 1e-6, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
 """[m] units of lengths in titles"""
