@@ -33,8 +33,8 @@ _WINDOW = 0.2
 """[s] of a velocity: hides encoder steps"""
 _GRID = (0.01, 0.05)
 """[s] finest and coarsest step"""
-_MOVING = 0.005
-"""[rad/s] rms speed of a command"""
+_MOVING, _CHANGING = 0.005, 0.3
+"""[rad/s] least change of a command's speed, and over its mean: a ramp shows no lag"""
 _SURE = 1.05, 1.5
 """Unexplained part at the best plausible lag over the best of all, at an end of the plausible range, and inside it (44
 motions of a real arm: 1.00, and up to 1.10)"""
@@ -85,7 +85,7 @@ def _of_velocities(moved: Array, held: Array, step: float, period: float) -> Lag
 
     width = max(round(max(_WINDOW, 4 * period) / step), 2)
     speed, asked = ((one[width:] - one[:-width]) / (width * step) for one in (moved, held))
-    joints = np.sqrt(np.mean(asked**2, axis=0)) > _MOVING
+    joints = np.std(asked, axis=0) > np.maximum(_CHANGING * np.abs(np.mean(asked, axis=0)), _MOVING)
     speed, asked, ones = speed[:, joints], asked[:, joints], np.ones((len(speed), joints.sum()))
     if not speed.any():
         return None
@@ -251,10 +251,11 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Ite
     elif unit == "deg" and (bits := turn_bits(read)):
         said = f"state: the values come in steps of 2 pi / {2**bits}: they are radians, not degrees"
         yield f"{said}; up to {extent:.4g} rad are angles of the motors, before their gear", GEAR_REMEDY
-    for what, values in {"state": angles, "command": motion.command}.items():
-        if values is None or np.abs(values).max() <= TWO_TURNS:
+    for what, values in {"state": angles, "command": angles if motion.command is None else motion.command}.items():
+        size = np.abs(values) * ~arm.endless
+        row, joint = _largest(size)
+        if size[row, joint] <= TWO_TURNS:
             continue
-        row, joint = _largest(np.abs(values))
         gear = max((np.ptp(values, axis=0) / (arm.upper - arm.lower)).max(), 1.0)
         cause = f"degrees, or angles of the motors, before a gear of {gear:.2g} or more"
         raise FileError(
