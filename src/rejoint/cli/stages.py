@@ -216,7 +216,7 @@ def identify(
         value |= {"report": rejoint.report(job), "fitted": twin.fitted}
         call.result(f"Twin: {job.folder.twin}")
         call.result(f"Report: {job.page}")
-    if twin.judgement is None or not twin.judgement.doubts:
+    if not twin.judgement.doubts if twin.judgement else twin.held_out.trusted:
         call.next(command("train", job.path))
     return value
 

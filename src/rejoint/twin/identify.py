@@ -220,6 +220,8 @@ def fitted_twin(
     identified[place] &= ~unreached & is_hobby(replay.arm)  # others may have any no-load speed
     least = np.exp(vector - NORMAL95 * sigma)[at("stiffness")]
     light = np.abs(problem.gravity) < LIGHT_SAG * least
+    # a model too light by half, or more, is another arm's
+    identified[at("stiffness")] &= (vector > belief.lower)[at("compensation")]
     identified[at("offset")] &= identified[at("stiffness")] | light  # of unknown stiffness, it holds what is sag
     # below zero it stands for speed that is fed forward, or for late readings; at its bound damping does so too
     identified[at("delay")] &= parameters.delay > 0.0
@@ -270,9 +272,9 @@ def _notes(twin: Twin, light: Mask, silent: Mask) -> list[str]:
             f"at most the ratios of stiffness, damping, friction, inertia and torque limit are known, not their common "
             f"scale, so no torques: {', '.join(twin.unknown_scale)}"
         )
-    if held_out.twin.tcp > min(rival.tcp for rival in (held_out.no_twin, held_out.healthy_twin) if rival):
+    if not held_out.trusted:
         notes.append(
-            "on motion it has not seen the twin predicts worse than a healthy twin or none: do not train in it"
+            "the twin hardly predicts motion that it has not seen better than none, or worse: do not train in it"
         )
     return notes
 

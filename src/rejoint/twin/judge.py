@@ -28,6 +28,7 @@ from rejoint.system.records import value_type
 from rejoint.twin.parameters import PARAMETERS, TwinParameters, unknown_prior, unpack
 from rejoint.twin.replay import MOVED, Replay, Window, in_force
 from rejoint.twin.twin import (
+    HALVED,
     NO_TWIN,
     Errors,
     Judgement,
@@ -130,10 +131,6 @@ def _mean(errors: Sequence[Errors]) -> Errors:
         return PredictionError(joint=joint, tcp=tcp)
 
     return Errors(**{part: mean(part) for part in ("free", "contact", "all")})
-
-
-HALVED = 2.0
-"""Distance of motion from commands over the error of a trusted twin; chosen"""
 
 
 def _doubts(arm: Arm, excluded: Sequence[Exclusions], motions: Sequence[MotionErrors]) -> list[str]:

@@ -95,6 +95,10 @@ def smaller(ours: Array, theirs: Array) -> bool:
     return above_zero(bootstrap_mean(theirs - ours, np.arange(len(ours))))
 
 
+HALVED = 2.0
+"""Distance of motion from commands over the error of a trusted twin; chosen"""
+
+
 @entity
 class HeldOut:
     """Errors on held-out motion."""
@@ -106,6 +110,12 @@ class HeldOut:
     twin: PredictionError
     healthy_twin: PredictionError | None = None
     """None where the arm's servos are unknown"""
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the twin halves the error of the command, and is no worse than a healthy one."""
+        healthy = np.inf if self.healthy_twin is None else self.healthy_twin.tcp
+        return self.twin.tcp <= min(self.no_twin.tcp / HALVED, healthy)
 
 
 @value_type
