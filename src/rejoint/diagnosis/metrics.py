@@ -571,8 +571,8 @@ def _onset_costs(data: ExcitationLog, joint: int, delays: Array, fits: Array) ->
 def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, delay: float) -> dict[str, Any]:
     """Compare the torque that a joint's law asks for with that of its load, in steady motion; see `JointMetrics`.
 
-    A joint is behind where it hardly turns and the demand exceeds twice the torque, friction, `_EXCESS`, an encoder
-    step and 10 ms. It is at its limit if behind for `_MIN_SHARE` of the time, near its largest torque.
+    A joint is behind where it hardly turns and the demand exceeds twice the torque, friction, `_EXCESS`, two
+    encoder steps and 10 ms. It is at its limit if behind for `_MIN_SHARE` of the time, near its largest torque.
     """
     segments = [s for s in data.segments if s.kind in (SWEEP, STEP, "multisine", HOLD)]
     found = window_averages(data, segments, joint, length=_TORQUE_WINDOW, delays=np.array([delay]))
@@ -582,7 +582,7 @@ def torque_given(data: ExcitationLog, joint: int, law: Law, stiffness: float, de
     friction = stiffness * max(half_width, 0.0)
     demand = stiffness * (found.error[0] - offset - lag * found.speed)
     given = found.gravity + friction * found.direction
-    margin = 2 * friction + stiffness * (data.arm.encoder_step + 0.010 * np.abs(found.command_speed))
+    margin = 2 * friction + stiffness * (2 * data.arm.encoder_step + 0.010 * np.abs(found.command_speed))
     excess = np.abs(demand) - np.abs(given)
     behind = (excess > np.abs(given)) & (demand * given > 0) & (np.abs(found.speed) < _STANDING)
     behind &= excess > margin + _EXCESS * torque_size(data.arm)
