@@ -274,7 +274,8 @@ def _notes(twin: Twin, light: Mask, silent: Mask) -> list[str]:
         )
     if not held_out.trusted:
         notes.append(
-            "the twin hardly predicts motion that it has not seen better than none, or worse: do not train in it"
+            "on motion it has not seen the twin does not halve the command's error, or a healthy twin is nearer: do not "
+            "train in it"
         )
     return notes
 
