@@ -83,8 +83,8 @@ UNKNOWN = {
     "stiffness_nm_per_rad": "The stiffness of {}, and so the torque that friction takes, cannot be told. Gravity does "
     "not load it enough in these motions, its controller may carry the weight, or they disagree too much. Where load "
     "or tool changed between them, diagnose those logs apart.",
-    "lag_s": "Hysteresis, lag and zero of {} cannot be told: too little slow motion, as of a joint that sticks or is too "
-    "weak, in one direction only, or with readings too far apart.",
+    "lag_s": "Hysteresis, lag and zero of {} cannot be told: too little slow motion, as of a joint that sticks or is "
+    "too weak, in one direction only, or with readings too far apart.",
     "overshoot": "Whether {} shoots over cannot be told: too few steps.",
     "noise_rad": "Noise and unrest of {} cannot be told: the arm hardly rests while no command moves.",
     "torque_limit_nm": "The torque limit of {} was not seen.",

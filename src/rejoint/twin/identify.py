@@ -274,8 +274,8 @@ def _notes(twin: Twin, light: Mask, silent: Mask) -> list[str]:
         )
     if not held_out.trusted:
         notes.append(
-            "on motion it has not seen the twin does not halve the command's error, or a healthy twin is nearer: do not "
-            "train in it"
+            "on motion it has not seen the twin does not halve the command's error, or a healthy twin is nearer: do "
+            "not train in it"
         )
     return notes
 
