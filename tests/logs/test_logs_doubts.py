@@ -34,6 +34,14 @@ def test_states_that_answer_in_time_are_believed(rows: int, stepping: bool):
     assert notes == []
 
 
+def test_a_ramp_shows_no_lag():
+    time = np.arange(0.0, 6.0, 0.02)
+    ramp = 0.17 * time[:, None] * np.eye(5)[1]
+    behind = 0.01 * np.random.default_rng(0).normal(1.0, 0.1, ramp.shape)
+    sample = Sample(time=time, position=ramp - behind, command=ramp)
+    assert not any("best after" in note for note in to_log(motion(sample), ARM)[1])
+
+
 @pytest.mark.parametrize("stepping", [False, True])
 @pytest.mark.parametrize(
     ("rows", "said"),

@@ -52,6 +52,15 @@ def test_a_jump_depends_on_the_time_between_answers():
     continuity.check(0.06, near)
 
 
+def test_after_a_jump_that_was_believed_motion_is_ordinary():
+    continuity = moving(0.0)
+    with pytest.raises(ImpossibleReplyError):
+        continuity.check(0.05, FAR)
+    continuity.check(0.1, FAR)
+    continuity.accept(0.1, FAR, None)
+    continuity.check(0.15, FAR + np.radians(6.0))
+
+
 def test_after_a_pause_two_answers_have_to_agree():
     continuity = moving(0.0, 0.05)
     with pytest.raises(ImpossibleReplyError):
