@@ -274,7 +274,7 @@ class Finishing:
     def _fine(self, inputs: ControlInput, missing: Array) -> Array:
         now, position = inputs.state.time[0], inputs.state.position[0]
         jacobian = position_kinematics(self._arm, position)[1]
-        if self._renew:
+        if self._renew or _least_lever(jacobian, self._moving) < 0.5 * LEAST_LEVER:  # on the way they came into line
             self._moving, self._renew = self._choose(jacobian), False
         motion = clip_norm(dls(jacobian * self._moving, missing, DAMPING), STEP)
         elapsed, self._time = now - self._time, now
@@ -323,14 +323,19 @@ class Finishing:
     def _choose(self, jacobian: Array) -> Mask:
         """Joints (n,) nearest to the tool that move it in every direction; else all."""
         n = self._arm.joints
-        least = LEAST_LEVER * norm(jacobian, axis=0).max()
         for number in range(1, 2**n):  # bit i is the i-th joint from the tool: lower numbers are nearer to it
             mask = (number >> np.arange(n - 1, -1, -1)) & 1 == 1
             if mask.sum() < 3 or (mask & self._alone).any():
                 continue
-            if np.linalg.svd(jacobian[:, mask], compute_uv=False)[-1] >= least:
+            if _least_lever(jacobian, mask) >= LEAST_LEVER:
                 return mask
         return np.full(n, True)
+
+
+def _least_lever(jacobian: Array, joints: Mask) -> float:
+    """Smallest singular value of some ``joints`` (n,) over the longest lever of all."""
+    values = np.linalg.svd(jacobian[:, joints], compute_uv=False)
+    return float(values[-1] / norm(jacobian, axis=0).max())
 
 
 @runtime_checkable
