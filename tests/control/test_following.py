@@ -289,7 +289,7 @@ def pushed(lead_deg, bands, *, period=0.025, moves=()):
         bad = watch.check(now, sent[None], np.zeros(1, dtype=bool))
         if bad.any():
             assert bad.tolist() == [[False, False, True, False, False, False]]
-            return k * period - 0.5, watch.describe(0, bad[0])
+            return k * period - 0.5, watch.describe(0, 2)
     return np.inf, ""
 
 

@@ -183,7 +183,11 @@ class Modelled:
             aims[aimed] = checked(self.arm, goal, 0.5 * (before + place))
             if turn is not None and own is not None:
                 turn.rotation[aimed] = own.rotation
+        self.began(target, aims)
         return aims, turn
+
+    def began(self, target: Array, aim: Array) -> None:
+        """Take new targets and corrected ones, (B, 3) [m]."""
 
     def again(self, state: JointState) -> Array | None:  # noqa: ARG002 - a model has no news
         """Corrected targets (B, 3) [m] of arms at ``state``; None: as before."""

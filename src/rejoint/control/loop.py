@@ -239,10 +239,6 @@ class RunState:
         """(B,) [s] since the target."""
         return self.inputs.since_target if self.schedule.ways is None else self.state.time - self.begun
 
-    def _dwelt(self) -> Array:
-        """(B,) [s] of the dwell: at the end of a way at least what is not for ways."""
-        return np.minimum(self._since(), self.inputs.since_target + (self.schedule.ways or 0.0))
-
     def _advance(self, finished: Mask) -> Mask:
         if not finished.any():
             return finished
@@ -327,7 +323,9 @@ class RunState:
     def _finished(self, turned: Array) -> Mask:
         """Arms (B,) whose target has ended; ``turned`` (B,) [rad]: their orientation errors."""
         dwell, below = self.schedule.dwell, self.schedule.stop_below
-        finished = self._dwelt() >= dwell
+        # of the dwell, at the end of a way at least what is not for ways
+        spent = np.minimum(self._since(), self.inputs.since_target + (self.schedule.ways or 0.0))
+        finished = spent >= dwell
         finished = finished | (self.state.time - self.begun >= dwell + self.reference.patience)
         if below is not None:
             near = tool_error(self.robot.arm, self.state.position, self.aim) < below
@@ -428,7 +426,7 @@ def trip_error(b: int, run_state: RunState) -> GuardTripError:
         degrees = np.round(np.degrees(state.position[b]), 1).tolist()
         details.append(f"measured {degrees} deg lies far outside the joint limits; check the arm's zero")
     if Reason.NOT_FOLLOWING in flags:
-        details.append(run_state.following.describe(b, run_state.unbelieved[b]))
+        details += [run_state.following.describe(b, j) for j in np.flatnonzero(run_state.unbelieved[b]).tolist()]
     if Reason.NOT_FINITE in flags:
         details.append("a command or a measured position is not a number; check the controller and the connection")
     since, which = run_state.state.time[b] - run_state.set_at[b], f" of arm {b + 1}" * (len(state.position) > 1)

@@ -182,10 +182,6 @@ class Following:
         position = tracks["position"]
         return np.where(overdue, position + self._bands.balance(self._arm, position) - pull, self.balance(joints, sent))
 
-    def describe(self, b: int, joints: Mask) -> str:
-        """Describe the finding on ``joints`` (n,) of arm ``b``, with advice."""
-        return "; ".join(self._describe(b, j) for j in np.flatnonzero(joints).tolist())
-
     def _travelled(self, position: Array, sent: Array) -> tuple[Mask, Mask]:
         """Joints (B, n) without a known band whose commands are far from a constant reading."""
         tracks, travel = self._tracks, np.abs(self._tracks["travel"])
@@ -204,7 +200,8 @@ class Following:
         """Levers (B, n) [m/rad] of the tool, scaled to the reach of a myCobot 280."""
         return np.maximum(levers(self._arm, position) / length_size(self._arm), 1e-6)
 
-    def _describe(self, b: int, j: int) -> str:
+    def describe(self, b: int, j: int) -> str:
+        """Describe the finding on joint ``j`` of arm ``b``, with advice."""
         track, name = self._tracks[b, j], self._arm.joint_names[j]
         if self.falling[b, j]:
             return (

@@ -7,10 +7,10 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from rejoint.arms import Arm, Array
-from rejoint.arms import Mask as Mask
+from rejoint.arms import Arm, Array, Mask
 from rejoint.arms.postures import missed_pose
 from rejoint.arms.rotations import Orientation
+from rejoint.system.records import entity
 from rejoint.system.stopping import pause
 
 T = TypeVar("T")
@@ -93,7 +93,7 @@ def part_of(robot: Robot, kind: type[T]) -> T | None:
     return inner
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class ControlInput:
     """Inputs of a controller: readings, and where B arms are to be now."""
 
@@ -170,7 +170,7 @@ class Stillness:
         return time[:, None] - self._since
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@entity
 class Servos:
     """Servos of arms, with any leading shape."""
 

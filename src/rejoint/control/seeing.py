@@ -13,7 +13,6 @@ import numpy as np
 from numpy.linalg import norm
 
 from rejoint.arms import Arm, Array, Mask, clip_norm, dls, position_kinematics, tcp_position
-from rejoint.arms.rotations import Orientation
 from rejoint.control.controllers.classical import limit_lead, limit_position
 from rejoint.control.correction import Modelled, most_shift, rms
 from rejoint.control.robot import ControlInput, Controller, JointState, Robot, part_of
@@ -87,18 +86,13 @@ class Seen(Modelled):
         self.readings: deque[tuple[float, Array]] = deque(maxlen=HISTORY)
         """times [s] and positions (n,) [rad], the newest last"""
 
-    def aim(
-        self, target: Array, start: Array, where: Mask, near: Array | None = None, turn: Orientation | None = None
-    ) -> tuple[Array, Orientation | None]:
-        """Corrected targets (1, 3) [m] of the model, and orientations."""
-        self._target, self._count = target[0], 0
+    def began(self, target: Array, aim: Array) -> None:
+        """Begin at a target (1, 3) [m], without detections."""
+        self._target, self._aim, self._count = target[0], aim[0], 0
         # [m] shift beyond the model; place by the encoders, at the last sighting
         self._extra = self._place = np.zeros(3)
         self._spread = UNKNOWN**2 * np.eye(3)  # [m^2] its covariance
         self.visits.append((0, None))
-        aim, turn = super().aim(target, start, where, near, turn)
-        self._aim = aim[0]
-        return aim, turn
 
     def again(self, state: JointState) -> Array | None:
         """Correct by the newest detection."""
@@ -112,16 +106,15 @@ class Seen(Modelled):
         self._last = seen.time
         times, positions = map(np.array, zip(*self.readings, strict=True))
         then = interpolated(seen.time, times, positions)
-        place = tcp_position(self.arm, then)
-        away = norm(self._aim - place)
-        unknown = seen.place - place - self.shift(then)
+        away = norm(self._aim - tcp_position(self.arm, then))
+        unknown = seen.place - self.tool(then)
         if away > NEAR or norm(unknown) > JUMP:
             return None
         self._count += 1
         self._learn(unknown, then, seen)
         self.used += 1
         self.beyond[len(self.visits)] = self._extra
-        left = target - place - self.shift(then) - self._extra
+        left = target - self.tool(then) - self._extra
         self.visits[-1] = self._count, float(norm(left))
         fresh = target - self.shift(position) - self._extra
         if norm(fresh - self._aim) <= CHANGE or norm(fresh - target) >= most_shift(self.arm):
@@ -134,7 +127,7 @@ class Seen(Modelled):
         position, now = state.position[0], state.time[0]
         if self._count < ENOUGH or now - self._believed > FRESH:
             return None
-        return self._target - tcp_position(self.arm, position) - self.shift(position) - self._extra
+        return self._target - self.tool(position) - self._extra
 
     def shifted(self) -> float | None:
         """Return common offset [m] from the model, or None: without a calibration all of the sag is seen."""

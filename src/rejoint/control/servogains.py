@@ -256,8 +256,7 @@ def search(
     robot: Robot, targets: Array, *, limits: GuardLimits | None = None, on_progress: Progress = no_progress
 ) -> GainsFound:
     """Try the rungs of ``robot``, one arm, at ``targets`` (K, 3) [m], and restore its gains; InputError."""
-    servos, before = tunable(robot)
-    found = {name: tuple(values) for name, values in before.items()}
+    servos, found = tunable(robot)
     climb = _Climb(robot, servos, targets, limits, found, on_progress)
     with put_back(servos, found):
         climb.sent = begin(robot, limits).command[-1]

@@ -68,8 +68,12 @@ def recommend(comparison: Comparison) -> Recommendation:
     why = [*all_stopped, achieves(chosen, comparison), *_tied(chosen, others, comparison)]
     why += (*reversed(decided), *comparison.left_out)
     why += [f"Error of the tool itself, with play and bending behind the encoders: {chosen.true_error}."]
-    names = tuple(row.controller for row in others)
-    return Recommendation(controller=chosen.controller, why=(*why, *_geared(chosen)), tied=names)
+    if inner_name(chosen.controller) != chosen.controller:
+        why.append(
+            f"{chosen.controller} needs other gains in the servos: each drive sets them and takes them back. "
+            "An SO-101 keeps them after `rejoint gains --keep`."
+        )
+    return Recommendation(controller=chosen.controller, why=tuple(why), tied=tuple(row.controller for row in others))
 
 
 def difference(comparison: Comparison, first: str, second: str) -> Estimate | None:
@@ -157,15 +161,6 @@ def achieves(row: ControllerRow, comparison: Comparison) -> str:
             likely = f"{1e3 * mean.low:.2f} to {1e3 * mean.high:.2f}"
         text += f" and settles at {1e3 * mean.value:.2f} mm ({likely}) by its encoders"
     return text + "."
-
-
-def _geared(row: ControllerRow) -> tuple[str, ...]:
-    if inner_name(row.controller) == row.controller:
-        return ()
-    return (
-        f"{row.controller} needs other gains in the servos: each drive sets them and takes them back. "
-        "An SO-101 keeps them after `rejoint gains --keep`.",
-    )
 
 
 def _by_complexity(row: ControllerRow) -> tuple[float, str]:

@@ -127,7 +127,7 @@ class Observer:
         self._position, self._time = np.zeros((count, n)), np.full(count, np.nan)
         self._period = np.full(count, MIDDLE_PERIOD)
         self._velocity, self._action = np.zeros((2, count, HISTORY, n))
-        self.view = View(*(np.zeros((count, *tail)) for tail in ((3,), (3,), (), (n,), (n,))))
+        self.view: View
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Start from rest where ``where`` (B,)."""
