@@ -81,7 +81,7 @@ def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
         with pytest.raises(InputError, match="check its cable") as stopped:
             film(robot := Still(), Cut(robot, last=last), runs[1])
         assert "the same command goes on there" in stopped.value.__notes__[0]
-        assert len(read_folder(str(runs[1].folder.pictures), ARM, ON_TOOL)) == last
+        assert len(read_folder(str(runs[1].folder.pictures), ARM, ON_TOOL).shots) == last
     camera = Cut(robot := Still())
     found = film(robot, camera, runs[1])
     assert camera.taken == [filming.SCOUTS + 2]
@@ -89,7 +89,7 @@ def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
         assert (one.name, one.posture) == (other.name, other.posture)
         np.testing.assert_allclose(one.position, other.position, atol=1e-12)  # means of more or fewer readings
         np.testing.assert_allclose(one.seen.pixel, other.seen.pixel, atol=1e-6)
-    assert len(list(runs[1].folder.pictures.glob("*.png"))) == len(found)
+    assert len(list(runs[1].folder.pictures.glob("*.png"))) == len(found.shots)
     for name in ("view-002.png", "view-004.png"):
         (runs[1].folder.pictures / name).unlink()
     again = film(robot := Still(), camera, runs[1])  # no fit has followed
@@ -101,7 +101,7 @@ def test_an_interrupted_film_goes_on_to_the_same_end(tmp_path, monkeypatch):
         with pytest.raises(InputError, match="check its cable") as stopped:
             film(robot, anew, runs[1], fresh=fresh)
         assert anew.taken == [1]
-    assert len(read_folder(str(runs[1].folder.pictures), ARM, ON_TOOL)) == 1
+    assert len(read_folder(str(runs[1].folder.pictures), ARM, ON_TOOL).shots) == 1
     assert "the same command without --fresh goes on there" in stopped.value.__notes__[0]
     assert list(runs[1].path.glob("pictures-*"))
 
@@ -195,8 +195,8 @@ def test_a_camera_that_hangs_is_not_believed(caplog):
     robot = Still()
     first, second = (render(SCENE, robot.tool(), (5, number)) for number in (0, 1))
     shown = [first]
-    stream = SimpleNamespace(picture=lambda: (shown[-1], time.monotonic()))
-    with LiveEye(stream, SCENE, name="camera 0") as eye:
+    stream = SimpleNamespace(number=0, picture=lambda: (shown[-1], time.monotonic()))
+    with LiveEye(stream, SCENE) as eye:
         until(lambda: "same picture for ever" in eye.why)
 
         def taken():

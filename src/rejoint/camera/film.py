@@ -69,9 +69,6 @@ class Film:
     shots: tuple[Shot, ...] = ()
     """by name"""
 
-    def __len__(self) -> int:
-        return len(self.shots)
-
     def with_shot(self, shot: Shot, size: tuple[int, int]) -> Film:
         """Add a picture, in place of one of its name; InputError for another ``size``."""
         if any(self.size) and size != self.size:
@@ -101,9 +98,9 @@ class Film:
         if len(views) < least:
             why = "; ".join(f"{name}: {why}" for name, why in self.unusable[:3])
             raise UnseenBoardError(
-                f"camera: the board is seen well in {len(views)} of {len(self)} pictures, expected at least {least}"
-                f"{why and f' ({why})'}; take more, or turn camera and board to each other, hold the camera still, "
-                "focus it, add light, or put it farther away"
+                f"camera: the board is seen well in {len(views)} of {len(self.shots)} pictures, expected at least "
+                f"{least}{why and f' ({why})'}; take more, or turn camera and board to each other, hold the camera "
+                "still, focus it, add light, or put it farther away"
             )
         lens = first_lens(self.size, self.board, views)
         placed = [place(lens, self.board, view) for view in views]
@@ -279,7 +276,7 @@ def first_rig(arm: Arm, lens: Lens, board: Board, carried: str, position: Array,
     tool = tcp_pose(arm, position)
     axes = tool[:, :3, :3] - tool[:, :3, :3].mean(axis=0)
     turns = np.linalg.svd(axes.reshape(len(tool), -1), compute_uv=False) / np.sqrt(len(tool))
-    if len(tool) < 3 or turns[1] < _TURNED:
+    if turns[1] < _TURNED:
         raise InputError(
             "the tool was turned too little between the views to tell where camera and board are; "
             "turn it by 20 degrees and more about at least two directions"

@@ -96,15 +96,15 @@ FROZEN = 10
 class LiveEye:
     """Looks at the pictures of an open camera in a thread of its own."""
 
-    def __init__(self, camera: LiveCamera, rig: Rig, name: str) -> None:
-        self.name = name
+    def __init__(self, camera: LiveCamera, rig: Rig) -> None:
+        self.name = f"camera {camera.number}"
         self.why = ""
         """why the last picture was unusable, or empty"""
         self._camera, self._rig, self._detector = camera, rig, Detector(rig.board)
         self._newest: Sighting | None = None
         self._gone = False
         self._end = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name=name, daemon=True)
+        self._thread = threading.Thread(target=self._watch, name=self.name, daemon=True)
 
     def __enter__(self) -> LiveEye:
         """Begin; InputError for pictures of another size than calibrated."""
@@ -149,11 +149,11 @@ class LiveEye:
 @contextmanager
 def opened_camera(number: int, rig: Path | None, arm: Arm) -> Iterator[LiveEye]:
     """Watch an arm's tool with a camera whose place is in the file ``rig``; InputError without one."""
-    name = f"camera {number}"
     if rig is None or not rig.exists():
         raise InputError(
-            f"{name}: it is not known where it stands; first `rejoint calibrate ROBOT RUN --measure camera={number}`"
+            f"camera {number}: it is not known where it stands; first "
+            f"`rejoint calibrate ROBOT RUN --measure camera={number}`"
         )
     found = read_rig(rig, arm)
-    with LiveCamera(number, size=found.lens.size) as camera, LiveEye(camera, found, name=name) as eye:
+    with LiveCamera(number, size=found.lens.size) as camera, LiveEye(camera, found) as eye:
         yield eye
