@@ -83,10 +83,10 @@ def place_of(text: str) -> Place[Any]:
         raise AddressError(f"robot address {text!r}: {error}{expected}") from error
 
 
-def is_virtual(text: str) -> bool:
-    """Whether time at this address passes in the steps of its robot alone."""
+def is_virtual(robot: object) -> bool:
+    """Whether it is an address at which time passes in the steps of the robot alone, and many can be opened at once."""
     try:
-        return place_of(text).virtual
+        return isinstance(robot, str) and place_of(robot).virtual
     except AddressError:
         return False
 

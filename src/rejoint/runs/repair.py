@@ -17,7 +17,7 @@ from rejoint.control.recording import Observer
 from rejoint.control.servogains import GEARED_POLICY, RIVALS
 from rejoint.control.targets import draw_targets
 from rejoint.logs.runfolder import RunFolder
-from rejoint.robots import place_of
+from rejoint.robots import is_virtual, place_of
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, exclusive, finish, staged
 from rejoint.runs.stages.calibrate import calibrate
@@ -37,7 +37,6 @@ from rejoint.session.inputs import (
     address_of,
     arm_of,
     as_targets,
-    is_batchable,
     opened,
     period_of,
     settled,
@@ -83,7 +82,7 @@ def stages_of(
     """Name the stages of a repair in order, each with its file."""
     what = plan or RepairPlan()
     found = {name: getattr(files, file) for name, file in zip(STAGES, _FILES, strict=True)}
-    if what.gauge == NO_GAUGE or (what.gauge is None and not is_batchable(robot)):
+    if what.gauge == NO_GAUGE or (what.gauge is None and not is_virtual(robot)):
         del found["calibrate"]
     asked = named(what.controllers).values()
     rivals = any(one in RIVALS for one in asked) if asked else not quick
@@ -222,7 +221,7 @@ def repair(
         "report": lambda observer: report(found),  # noqa: ARG005
     }
     done = found.folder.policy.exists() or found.folder.comparison.exists()
-    early = is_batchable(robot) and only is None and not (what.controllers or done)
+    early = is_virtual(robot) and only is None and not (what.controllers or done)
     with ExitStack() as stack:
         for number, (name, file) in enumerate(files.items(), start=1):
             if name == "train" and early:  # a comparison of an emulated arm begins during the training
@@ -244,7 +243,7 @@ def _comparison(
     compared = replace(settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else settings
     targets = plan.targets
     given = as_options(plan.trials, TrialPlan)
-    emulated = is_batchable(robot)
+    emulated = is_virtual(robot)
     small = ONE_ARM_PROTOCOL if quick else Protocol(crossings=False)
     usual = TrialPlan(
         sets=1 if quick else 3 if emulated else None,

@@ -70,8 +70,9 @@ def heavy(arm: Arm, postures: Array, motors: Motors) -> list[str]:
         np.where(joint_weights(arm) <= 1.0, torque, np.inf)
         for torque in (motors.usable, 0.5 * (motors.usable + motors.limit))
     )
-    judged = ((too_heavy(arm, posture, midway)[0], too_heavy(arm, posture, lifted)[1]) for posture in postures)
-    return [why if joint is not None else "" for joint, why in judged]
+    return [
+        "" if too_heavy(arm, posture, midway)[0] is None else too_heavy(arm, posture, lifted)[1] for posture in postures
+    ]
 
 
 def believed_motors(arm: Arm, twin: Twin) -> Motors:

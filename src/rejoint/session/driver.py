@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Displacement, Motors, load_arm, tcp_position
+from rejoint.arms import Arm, Array, Displacement, Motors, tcp_position
 from rejoint.arms.inertia import LoadedArm
 from rejoint.arms.postures import too_heavy
 from rejoint.control.controllers.catalogue import CONTROLLERS
@@ -44,7 +44,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.journal import Journal
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
-from rejoint.robots import open_robot
+from rejoint.robots import is_virtual, open_robot
 from rejoint.runs.run import Run, dated, exclusive, staged
 from rejoint.session.context import (
     ControllerMaker,
@@ -73,7 +73,7 @@ from rejoint.session.inputs import (
     as_twin,
     each_once,
     equipped,
-    is_batchable,
+    opened,
     period_of,
     settled,
 )
@@ -341,17 +341,15 @@ class ArmDriver:
 
         Without a robot: for recordings. ``pace`` [simulated seconds per second] ties virtual time to the wall clock.
         """
-        about, self.observer = None if run is None else Run.open(run), as_options(observer, Observer)
+        about, self.observer = None if run is None else opened(run, arm), as_options(observer, Observer)
         self.settings, kept = settled(settings, about, robot)
         for line in filter(None, (quick_note(about), kept)):
             self.observer.message(line)
         about = about and about.seeded(self.settings.seed)
         built = arm_of(robot, arm if about is None else about.arm)
         if about is not None:
-            known = built, about.arm, built if arm is None else load_arm(arm)
-            for one in known:
-                about.require(one)
-            built = replace(built, keep_out=each_once(*(box for one in known for box in one.keep_out)))
+            about.require(built)
+            built = replace(built, keep_out=each_once(*built.keep_out, *about.arm.keep_out))
         self.arm: Arm = equipped(built, robot, self.settings)
         """with payload and tool of the settings"""
         self.seed = as_seed(self.settings.seed) if about is None else about.seed
@@ -392,7 +390,7 @@ class ArmDriver:
         robot = self.given
         if robot is None:
             raise InputError("session: there is no robot to drive")
-        virtual = is_batchable(robot)
+        virtual = is_virtual(robot)
         if self.run is not None:
             require_space(self.run.path)
         with noted():

@@ -98,11 +98,6 @@ class Borrowed(RobotWrapper):
         """Leave it open."""
 
 
-def is_batchable(robot: RobotLike) -> bool:
-    """Whether many arms of this robot can be opened at once."""
-    return isinstance(robot, str) and place_of(robot).virtual
-
-
 def period_of(robot: RobotLike, period: Period | None) -> Period | None:
     """Control periods [s] of a robot; None: only the open robot knows."""
     return as_period(period) or (place_of(robot).default_period if isinstance(robot, str) else None)

@@ -14,7 +14,7 @@ from typing import TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rejoint.arms import Arm, Array, Displacement, choose_postures, tcp_position
+from rejoint.arms import Arm, Array, choose_postures, tcp_position
 from rejoint.arms.rotations import tool_axis
 from rejoint.control.guard import Reason, reason_names
 from rejoint.control.loop import Schedule
@@ -129,7 +129,7 @@ def to_targets(session: Session, targets: Targets | None) -> Callable[[ArmMotion
         correction, seen, driver = session.correction, None, controller
         session.begin("deploy", name, controller)
         if eye is not None:
-            seen = Seen(arm, Displacement.none(arm) if correction is None else correction.displacement, eye=eye)
+            seen = Seen(arm, session.apparent.displacement, eye=eye)
             driver, correction = Finishing(arm, controller, seen), seen
         reference = TargetSequence(arm, points, ways=[ways], turns=turned, correction=correction)
 

@@ -32,7 +32,7 @@ from rejoint.control.robot import JointState, Robot
 from rejoint.control.targets import in_mm
 from rejoint.logs.history import setup_of
 from rejoint.logs.runlog import RunLog
-from rejoint.robots import open_robot
+from rejoint.robots import is_virtual, open_robot
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, staged
 from rejoint.session.context import (
@@ -57,7 +57,6 @@ from rejoint.session.inputs import (
     Targets,
     address_of,
     as_targets,
-    is_batchable,
     period_of,
 )
 from rejoint.session.session import Session
@@ -362,7 +361,7 @@ def comparison_job(
     """Assemble and validate a comparison on the arm of a session."""
     arm, run, twin, settings = session.arm, session.run, session.twin, session.settings
     robot = session.robot if settings.dry_run or session.given is None else session.given
-    real = not is_batchable(robot)
+    real = not is_virtual(robot)
     block = BLOCK if real and not plan.full else 0
     sets = (ONE_ARM_SETS if block else SETS) if plan.sets is None else plan.sets
     points, turns = as_targets(targets, arm, sets=sets, seed=session.seed)
