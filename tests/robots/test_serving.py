@@ -342,7 +342,7 @@ def test_any_bytes_are_borne(tmp_path):
 def test_a_full_disk_ends_the_log_and_not_the_arm():
     said: list[str] = []
     log = OrderLog(Path("/dev/full"), say=said.append)
-    assert [log.ordered(0x29, b"", done=True) for _ in range(3)] == [1, 2, 3]
+    assert [log.ordered(Frame(0x29), done=True) for _ in range(3)] == [1, 2, 3]
     assert len(said) == 1
     assert "No space left on device" in said[0]
 

@@ -7,7 +7,6 @@ from math import copysign
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
 
-import msgspec
 import numpy as np
 
 from rejoint.arms import Arm, Array
@@ -15,7 +14,7 @@ from rejoint.control.servogains import HEAVIEST, HOTTEST, OverloadedError, Rung,
 from rejoint.robots.family import Wire, read_wire
 from rejoint.robots.registers import Register
 from rejoint.system.errors import InputError, RobotError
-from rejoint.system.files import digest, read_shipped
+from rejoint.system.files import digest
 from rejoint.system.records import value_type
 from rejoint.system.stopping import ending
 
@@ -56,7 +55,8 @@ class Model(NamedTuple):
         return copysign(part**0.5 if self.supply else part, load)
 
 
-class ServoKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+@value_type
+class ServoKind:
     """Servos of one maker, from a ``servo.toml``."""
 
     registers: dict[str, Register]
@@ -69,11 +69,6 @@ class ServoKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """by number"""
     faults: dict[int, str]
     """names of error bits"""
-
-    @classmethod
-    def beside(cls, module: str) -> Self:
-        """Read the file beside a ``module``; FileError."""
-        return read_shipped(module, "servo.toml", cls)
 
     @property
     def strides(self) -> dict[str, int]:
@@ -159,7 +154,7 @@ class TunedServos(ABC):
     def tune(self, gains: ServoGains) -> None:
         """Set gains in small steps, also on later connections; RobotError where a servo does not bear them."""
         self.walk(gains)
-        self._wanted = {name: tuple(values) for name, values in gains.items()}
+        self._wanted = dict(gains)
 
     def prepare_gains(self) -> None:
         """Read the gains, and set the wanted ones."""

@@ -10,19 +10,20 @@ from select import select
 from typing import Any
 from urllib.parse import urlsplit
 
-import msgspec
 import serial
 from serial.tools.list_ports import comports
 
 from rejoint.robots.family import Place, Wire
 from rejoint.system.errors import AddressError
 from rejoint.system.files import read_shipped
+from rejoint.system.records import value_type
 
 HEARD = 0.15
 """[s] in which an arm answers (chosen: ten times its usual time)"""
 
 
-class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+@value_type
+class Kind:
     """How arms of a kind are asked for a sign of life."""
 
     name: str

@@ -301,11 +301,11 @@ class OrderLog:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file: FileIO | None = path.open("ab", buffering=0)
 
-    def ordered(self, command: int, payload: bytes, *, done: bool, why: str = "") -> int:
+    def ordered(self, order: Frame, *, done: bool, why: str = "") -> int:
         """Write an order, whether it is carried out and why not; returns its number."""
         self.orders += 1
-        name, because = NAMES.get(command, f"0x{command:02x}"), {"why": why} if why else {}
-        self.write("order", number=self.orders, name=name, payload=payload.hex(), done=done, **because)
+        name, because = NAMES.get(order.command, f"0x{order.command:02x}"), {"why": why} if why else {}
+        self.write("order", number=self.orders, name=name, payload=order.payload.hex(), done=done, **because)
         return self.orders
 
     def write(self, what: str, **found: object) -> None:
@@ -434,13 +434,13 @@ class Clients(Conversation[Frame]):
             return self._refuse(request, _OTHER_FRAME.get(command) or note or _REASONS[found])
         if note:
             self._say_again(f"{NAMES[command]}: {note}.")
-        number = self._log.ordered(command, payload, done=True, why=note)
+        number = self._log.ordered(request, done=True, why=note)
         if command in MOVES:
             self._number = number
         return reply
 
     def _refuse(self, request: Frame, why: str) -> Frame:
-        self._log.ordered(request.command, request.payload, done=False, why=why)
+        self._log.ordered(request, done=False, why=why)
         self._say_again(f"Refused {NAMES.get(request.command, hex(request.command))}: {why}")
         return Frame(request.command, flag(False))
 
@@ -453,7 +453,7 @@ class Clients(Conversation[Frame]):
             future.cancel()  # what the log calls not done is not done later
         if request.command not in _ASKS:
             why = "" if found is not None else "the robot does not answer it, or its driver cannot pass it on"
-            self._log.ordered(request.command, request.payload, done=found is not None, why=why)
+            self._log.ordered(request, done=found is not None, why=why)
         return None if found is None else Frame(request.command, found)
 
     def relay(self) -> None:

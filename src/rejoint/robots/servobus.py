@@ -58,12 +58,14 @@ class ServoBus(TunedServos, Bus):
         """(m,) of each servo"""
         self.leads = np.searchsorted(self.joint, np.arange(arm.joints)).tolist()
         """(n,) places of the joints' first servos"""
+        self.firsts = [self.ids[lead] for lead in self.leads]
+        """(n,) their IDs"""
         self.table, self.memory = kind.registers, kind.memory
         """all registers, and those of gains"""
         self.found: dict[int, Model] = {}
         """models of the servos"""
         wanted = kind.for_all({**address.driven, **address.gains}, arm.joints)
-        super().__init__(kind, [self.call(self.ids[lead]) for lead in self.leads], wanted)
+        super().__init__(kind, list(map(self.call, self.firsts)), wanted)
         self.zeros: Zeros
         """of the prepared arm's servos"""
         self._wire: ServoWire | None = None
@@ -90,7 +92,7 @@ class ServoBus(TunedServos, Bus):
 
     def strain(self, joint: int) -> tuple[float, float]:
         """Share of the largest torque, and temperature [deg C]."""
-        servo = self.ids[self.leads[joint]]
+        servo = self.firsts[joint]
         return abs(self.found[servo].share(self.get(servo, "load"))), self.get(servo, "heat")
 
     def relieve(self, joint: int) -> None:
@@ -275,7 +277,7 @@ class ServoBus(TunedServos, Bus):
     def read_gains(self) -> Values:
         """Ask each joint's first servo for all its gains at once."""
         span = self.span(self.memory)
-        blocks = [self.sure(partial(self.wire.read, self.ids[lead], *span)) for lead in self.leads]
+        blocks = [self.sure(partial(self.wire.read, first, *span)) for first in self.firsts]
         values = self._decoded(self.memory, blocks).tolist()
         return {name: tuple(row) for name, row in zip(self.memory, values, strict=True)}
 

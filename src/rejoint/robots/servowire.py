@@ -17,6 +17,9 @@ WAIT = 0.02
 OK, UNSENT, SILENT = 0, (-1, -2, -1000, -1001), (-6, -3001)
 """Results of Feetech's client and ROBOTIS'; all others are garbled answers"""
 
+READ = 2
+"""Instruction, which an echo has in the place of the error"""
+
 
 def judge(result: int, servo: int) -> None:
     """Raise what a client's ``result`` means: TimeoutError, OSError (broken), ValueError (garbled)."""
@@ -37,12 +40,16 @@ class ServoWire(ABC):
 
     places: ClassVar[tuple[int, int]]
     """of ID and error in a status packet"""
+    overhead: ClassVar[int]
+    """[bytes] of a status packet around the data"""
     is_using = property(lambda _: False, lambda *_: None)  # one thread at a time uses it
     baudrate: int
     _client: Any
     """the maker's, on this port"""
     _first: tuple[Self, ...] = ()
     """what its methods take before all else"""
+    _last: tuple[bool, ...] = ()
+    """what those take after it that read packets"""
 
     def __init__(self, address: Wire) -> None:
         """Open at the address's rate; ValueError, OSError."""
@@ -96,15 +103,11 @@ class ServoWire(ABC):
 
     def _receive(self) -> tuple[list[int], int]:
         """Wait for a status packet; it, and the client's result."""
-        return self._client.rxPacket(*self._first)
+        return self._client.rxPacket(*self._first, *self._last)
 
     @abstractmethod
-    def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
-        """Ask ``servos`` for ``size`` registers at once; the client's result."""
-
-    @abstractmethod
-    def _data(self, packet: Sequence[int], question: tuple[int, int] | None = None) -> bytes:
-        """Return the data of a status packet, which answers a ``question`` for registers."""
+    def _data(self, packet: Sequence[int]) -> bytes:
+        """Return the data of a status packet."""
 
     def read(self, servo: int, address: int, size: int) -> bytes:
         """Read ``size`` registers."""
@@ -113,7 +116,9 @@ class ServoWire(ABC):
         while result == OK and (not packet or packet[number] != servo):
             packet, result = self._receive()
         self._take(result, servo, packet[error] if result == OK else 0)
-        data = self._data(packet, (address, size))
+        data = self._data(packet)
+        if packet[error] == READ and tuple(data) == (address, size):  # Feetech's client takes it for an answer
+            raise ValueError("the question itself came back; use an adapter that does not echo")
         if len(data) != size:  # the client would cut a late answer to an earlier question to this size
             raise ValueError(f"servo {servo} answered {len(data)} bytes instead of {size}")
         return data
@@ -126,7 +131,9 @@ class ServoWire(ABC):
 
     def read_all(self, servos: Sequence[int], address: int, size: int) -> dict[int, bytes]:
         """Read ``size`` registers of all ``servos``; without silent ones."""
-        judge(self._ask_all(servos, address, size), servos[0])
+        asked = address, size, list(servos), len(servos)
+        judge(self._client.syncReadTx(*self._first, *asked, *self._last), servos[0])
+        self.setPacketTimeout((size + self.overhead) * len(servos))  # type: ignore[attr-defined]  # the maker's
         found = dict[int, bytes]()
         number, error = self.places
         for _ in range(2 * len(servos)):  # among them garbled ones

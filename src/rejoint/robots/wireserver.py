@@ -10,8 +10,7 @@ import time
 import tty
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from rejoint.system.shell import listen_tcp
 
@@ -28,8 +27,7 @@ QUIET_AFTER = 5
 _CHUNK = 1024
 
 
-@dataclass(frozen=True)
-class Format(Generic[R]):
+class Format(NamedTuple, Generic[R]):
     """How frames lie in a stream of bytes."""
 
     header: bytes

@@ -6,9 +6,10 @@ from typing import Any, ClassVar
 
 from rejoint.arms import Arm, Array
 from rejoint.robots.knobs import Gains, ServoAddress, ServoKind
+from rejoint.system.files import read_shipped
 from rejoint.system.records import value_type
 
-KIND = ServoKind.beside(__file__)
+KIND = read_shipped(__file__, "servo.toml", ServoKind)
 CURRENT_BASED = 5
 """Operating mode"""
 

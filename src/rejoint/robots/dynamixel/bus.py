@@ -38,7 +38,8 @@ _LENGTH = 5  # its place in a status packet
 class DynamixelWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker's package has no types
     """An open bus of Dynamixel servos, whose answers are waited for whole."""
 
-    places = 4, 8
+    places, overhead = (4, 8), 11
+    _last = (False,)  # one status packet each
 
     def __init__(self, address: Wire) -> None:
         super().__init__(address)
@@ -71,13 +72,7 @@ class DynamixelWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker'
         """Restart a servo: its torque is off, and its registers above 63 are as sold."""
         judge(self._client.reboot(self, servo)[0], servo)
 
-    def _receive(self) -> tuple[list[int], int]:
-        return self._client.rxPacket(self, False)
-
-    def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
-        return self._client.syncReadTx(self, address, size, list(servos), len(servos), False)
-
-    def _data(self, packet: Sequence[int], question: tuple[int, int] | None = None) -> bytes:  # noqa: ARG002
+    def _data(self, packet: Sequence[int]) -> bytes:
         return bytes(
             packet[self.places[1] + 1 : _LENGTH + packet[_LENGTH] + 256 * packet[_LENGTH + 1]]
         )  # behind them: a CRC
@@ -231,7 +226,7 @@ class DynamixelBus(ServoBus):
             ", ".join(dict.fromkeys(word for word, of in zip(words, self.joint, strict=True) if word and of == j))
             for j in range(self.arm.joints)
         )
-        shares = [self.found[self.ids[lead]].share(loads[lead]) for lead in self.leads]
+        shares = [self.found[first].share(load) for first, load in zip(self.firsts, loads[self.leads], strict=True)]
         return Reading(
             position=position,
             load=self._sign * shares,
@@ -244,8 +239,7 @@ class DynamixelBus(ServoBus):
         """Ask for the gains; a limit of the current in percent of the largest."""
         found = super().read_gains()
         if "current" in found:
-            leads = (self.ids[lead] for lead in self.leads)
-            found["current"] = tuple(map(self._percent, leads, found["current"]))
+            found["current"] = tuple(map(self._percent, self.firsts, found["current"]))
         return found
 
     def write_gain(self, name: str, values: Sequence[int]) -> None:

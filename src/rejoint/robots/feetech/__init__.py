@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike
 from rejoint.arms import Array
 from rejoint.control.servogains import ServoGains
 from rejoint.robots.knobs import ServoAddress, ServoKind
+from rejoint.system.files import read_shipped
 
-KIND = ServoKind.beside(__file__)
+KIND = read_shipped(__file__, "servo.toml", ServoKind)
 
 FULL = 1000.0
 """Duty of full PWM"""

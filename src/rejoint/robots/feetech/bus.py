@@ -7,7 +7,7 @@ the servos' memory.
 from collections.abc import Sequence
 
 import numpy as np
-from scservo_sdk import INST_READ, PKT_ERROR, PKT_ID, PKT_PARAMETER0, PortHandler, sms_sts
+from scservo_sdk import PKT_ERROR, PKT_ID, PKT_PARAMETER0, PortHandler, sms_sts
 
 from rejoint.control.servogains import ServoGains
 from rejoint.logs.joints import COUNTS_PER_TURN
@@ -19,8 +19,6 @@ from rejoint.robots.servowire import ServoWire
 from rejoint.system.errors import RobotError
 from rejoint.system.stopping import shielded
 
-FRAME = 6
-"""[bytes] around the data: header, ID, length, errors, checksum"""
 MODEL = 3
 """Register address of the model"""
 
@@ -28,7 +26,7 @@ MODEL = 3
 class FeetechWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker's package has no types
     """An open bus of Feetech servos."""
 
-    places = PKT_ID, PKT_ERROR
+    places, overhead = (PKT_ID, PKT_ERROR), 6
 
     def __init__(self, address: Wire) -> None:
         super().__init__(address)
@@ -38,16 +36,8 @@ class FeetechWire(ServoWire, PortHandler):  # type: ignore[misc]  # the maker's 
         """Model number of a servo; ignores late answers."""
         return int.from_bytes(self.read(servo, MODEL, 2), "little")
 
-    def _ask_all(self, servos: Sequence[int], address: int, size: int) -> int:
-        result = self._client.syncReadTx(address, size, list(servos), len(servos))
-        self.setPacketTimeout((size + FRAME) * len(servos))
-        return result
-
-    def _data(self, packet: Sequence[int], question: tuple[int, int] | None = None) -> bytes:
-        data = packet[PKT_PARAMETER0:-1]
-        if packet[PKT_ERROR] == INST_READ and question == tuple(data):  # the client takes it for an answer
-            raise ValueError("the question itself came back; use an adapter that does not echo")
-        return bytes(data)
+    def _data(self, packet: Sequence[int]) -> bytes:
+        return bytes(packet[PKT_PARAMETER0:-1])
 
 
 POSITION_MODE = 0
