@@ -19,13 +19,14 @@ import numpy as np
 from rejoint.arms import Arm, Array, Displacement, Motors, tcp_position
 from rejoint.arms.inertia import LoadedArm
 from rejoint.arms.postures import too_heavy
+from rejoint.arms.workspace import length_size
 from rejoint.control.controllers.catalogue import CONTROLLERS
 from rejoint.control.controllers.feedforward import FeedforwardController
 from rejoint.control.controllers.policy import check_controller_period
 from rejoint.control.controllers.posture import PostureController, PostureGains
 from rejoint.control.correction import Modelled, tool_error
 from rejoint.control.guard import GuardLimits, clear_by
-from rejoint.control.loop import Schedule, brake, run
+from rejoint.control.loop import BRAKE, Schedule, brake, run
 from rejoint.control.recording import PIECE, Cycle, Observer, OnCycle, Recording, recorded, recording_of
 from rejoint.control.reference import Reference
 from rejoint.control.robot import (
@@ -258,6 +259,9 @@ CALM = 0.3
 """[s] at the goal (chosen)"""
 RESTS, JITTER = 0.8, np.radians(0.3)
 """[s] from the last new joint goal to rest, and [rad] jitter of a resting hand (chosen)"""
+
+FAR = 0.005
+"""[m] of a tool that something keeps from its goal, for a myCobot 280; chosen"""
 
 
 class ArmMotion(Future[Any]):
@@ -594,10 +598,10 @@ class ArmDriver:
         ``within`` [m] and [rad] of the tool, or the latter of each of the ``joints`` (n,) [rad]; in words ``wanted``.
         """
         arm, here, left, lags = self.arm, self.arm.rest, "", ""
-        since, reached = np.inf, False  # [s] close since then
+        since, reached, far = np.inf, False, False  # [s] close since then
 
         def look(inputs: ControlInput) -> bool:
-            nonlocal since, reached, left, lags, here
+            nonlocal since, reached, far, left, lags, here
             now, here = float(inputs.state.time[0]), inputs.state.position[0]
             away = np.abs(here - (inputs.sent[0] if joints is None else joints))
             worst = away.argmax()
@@ -607,9 +611,10 @@ class ArmDriver:
                 error = tool_error(arm, here, aim[0])
                 turned = turned_off(arm, inputs)[0]
                 near = inputs.arrived[0] and error < within[0] and not turned > within[1]
+                far = bool(error > FAR * length_size(arm))
                 left = f"{1e3 * error:.1f} mm" + (f" and {np.degrees(turned):.1f} deg" if np.isfinite(turned) else "")
             else:
-                near = away[worst] < within[1]
+                near, far = away[worst] < within[1], bool(away[worst] > BRAKE)
                 left = f"{np.degrees(away[worst]):.1f} deg at {arm.joint_names[worst]}"
             since = min(since, now) if near else np.inf
             reached = now - since >= CALM
@@ -617,7 +622,8 @@ class ArmDriver:
 
         self.drive(controller, Schedule(dwell=timeout, give_up=look), reference)
         if not (reached or motion.ended.is_set()):
-            self.brake()  # what is in the way, or weighs too much, bears no full torque for long
+            if far:  # what is in the way, or weighs too much, bears no full torque for long
+                self.brake()
             heavy_there = self.overloaded(here)
             raise NotReachedError(
                 f"the arm did not come within {wanted} of {motion.goal}, still {left} off; it holds. {lags}. Give it "
