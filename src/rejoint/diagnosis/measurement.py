@@ -278,15 +278,15 @@ def sag_doubt(data: ExcitationLog) -> str:
     mirrors = [eye, *(eye - 2.0 * np.outer(way, way) / (way @ way) for way, _ in ways)]
     pulls, *others = mirrored_pulls(replace(data, segments=tuple(few)), np.stack(mirrors))
     right, tried = _explained(pulls), [(_explained(one), words) for one, (_, words) in zip(others, ways, strict=True)]
-    bases = []
-    for j, along in enumerate((np.linalg.pinv(pulls[:, :3, :3], 1e-6) @ pulls[:, :3, -1:])[..., 0]):
-        where = tuple((np.round(along / max(np.linalg.norm(along), 1e-12), 1) + 0.0).tolist())
-        base = (
-            f"gravity pulled along {where} of the base, not along (0, 0, -1): if the arm is mounted so, let a fixed "
-            "joint in its file turn the base; else check signs and zeros, and whether a spring or the controller "
-            "carries more than the weight"
-        )
-        bases.append(((1.0 - eye[j]) * _explained(pulls, along), base))  # the other joints tell whether it is gravity
+    alongs = (np.linalg.pinv(pulls[:, :3, :3], 1e-6) @ pulls[:, :3, -1:])[..., 0]
+    bases = np.array([_explained(pulls, along) for along in alongs])
+    way = alongs[bases.sum(axis=1).argmax()]
+    where = tuple((np.round(way / max(np.linalg.norm(way), 1e-12), 1) + 0.0).tolist())
+    base = (
+        f"gravity pulled along {where} of the base, not along (0, 0, -1): if the arm is mounted so, let a fixed joint "
+        "in its file turn the base; else check signs and zeros, and whether a spring or the controller carries more "
+        "than the weight"
+    )
     load = "the tip carried more: if it did, weigh that and diagnose with --payload; else check the zeros of the joints"
     loads = [(_explained(pulls, np.append(GRAVITY, one)), load) for one in data.arm.mass.sum() * LOADS]
     zeros = []
@@ -298,16 +298,18 @@ def sag_doubt(data: ExcitationLog) -> str:
             zeros.append((_explained(pulls, along), zero))
     fading = np.append(np.zeros(pulls.shape[-1] - 2), 1.0)
     integral = "the controller integrated its error, which hides stiffness and friction: switch its integral term off"
-    found = []
+    found, total = [], right.sum()
+    # the other joints tell whether what explains one of them is gravity
+    if (bases * (1.0 - eye)).sum(axis=1).max() >= max(CLEARER * total, total + DOUBTED):
+        found.append((bases.sum(axis=1).max(), base))
     for guesses, clearer, beyond, last in (
         (tried, CLEARER, DOUBTED, -1),
-        (bases, CLEARER, DOUBTED, None),
         (loads, 1.0, DOUBTED, None),
         (zeros, 1.0, DOUBTED, -1),
         ([(_explained(pulls, fading), integral)], FADED, BEYOND, None),
     ):
         best, words = max(guesses, key=lambda one: one[0].sum())
-        if best.sum() >= clearer * right.sum() and np.sort(best - right)[:last].sum() >= beyond:
+        if best.sum() >= clearer * total and np.sort(best - right)[:last].sum() >= beyond:
             found.append((best.sum(), words))
     return f"joints sag as if {max(found)[1]}" if found else ""
 
