@@ -488,7 +488,7 @@ def _act(found: Outlook, worst: Change, repair: str) -> str:
     if found.later:
         return "look at the connection and the computer (rejoint doctor)" + f", then {repair}" * found.over
     act = f"{repair}; if the tool misses its tolerance then, and nothing blocks or pulls the arm, change {whose}"
-    if not found.over and (found.state != "alarm" or worst.better):
+    if not found.over and (found.state != "alarm" or (worst.better and worst.quantity != "deviation")):
         act = "check again within a week; no repair yet"
     elif worst.quantity == "deviation":
         act = f"look whether {worst.joint} has slipped or was set again (then check with --moved); else {repair}"
