@@ -287,9 +287,10 @@ def low_damping(case: _Case) -> Found:
 
 
 def lag(case: _Case) -> Found:
-    """Report a joint that is late, but not by a weak gain, which widens its hysteresis as well."""
+    """Report a joint that is late, but not by a weak gain, which widens its hysteresis as much."""
     usual, late = case.usual("lag_s"), case.value("lag_s")
-    if case.soft or hysteresis(case) or not case.low("lag_s") - case.common_lag > _end(usual.high):
+    wider = case.value("hysteresis_rad") / case.usual("hysteresis_rad").value if hysteresis(case) else 1.0
+    if case.soft or not case.low("lag_s") - case.common_lag > wider * _end(usual.high):
         return None
     return case.lever * WORKING_SPEED * (late - case.common_lag - usual.value), (
         f"follows late: {late * 1e3:.0f} ms behind its command{case.against('lag_s', '.0f', 1e3)}; "
