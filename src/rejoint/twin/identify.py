@@ -111,6 +111,10 @@ LEAST_CONTACT = 5.0
 
 REFITTED = "errors on held-out motion are those of a fit that had not seen it; the values are fitted to all motions"
 REPEATED = "the motions held out repeat those that were fitted: errors on other motion are larger"
+UNTRUSTED = (
+    "on motion it has not seen the twin does not halve the command's error, or a healthy twin is nearer: do not train "
+    "in it"
+)
 UNJUDGED = "no motion was held out: the errors are those on the motions that were fitted"
 
 
@@ -175,7 +179,7 @@ def identify(
     held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)
     clusters = np.unique(fine.window + 1j * (fine.replay.time // CLUSTER), return_inverse=True)[1]
     twin = fitted_twin(fine, found, logs, clusters, held_out, doubted=bool(doubt))
-    return replace(twin, notes=(*twin.notes, *filter(None, [doubt])))
+    return replace(twin, notes=(*twin.notes, *[UNTRUSTED] * (not held_out.trusted), *filter(None, [doubt])))
 
 
 def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
@@ -257,7 +261,7 @@ def largest_static_torque(arm: Arm, logs: Sequence[RunLog], coulomb: Array) -> A
 
 
 def _notes(twin: Twin, light: Mask, silent: Mask) -> list[str]:
-    notes, held_out = [], twin.held_out
+    notes = []
     low, high = (end.compensation for end in twin.interval)
     if (fed := np.flatnonzero(np.maximum(low, -high) * ~light > LEAST_FED)).size:
         notes.append(
@@ -271,11 +275,6 @@ def _notes(twin: Twin, light: Mask, silent: Mask) -> list[str]:
         notes.append(
             f"at most the ratios of stiffness, damping, friction, inertia and torque limit are known, not their common "
             f"scale, so no torques: {', '.join(twin.unknown_scale)}"
-        )
-    if not held_out.trusted:
-        notes.append(
-            "on motion it has not seen the twin does not halve the command's error, or a healthy twin is nearer: do "
-            "not train in it"
         )
     return notes
 
