@@ -256,7 +256,7 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Ite
         row, joint = _largest(size)
         if size[row, joint] <= TWO_TURNS:
             continue
-        gear = max((np.ptp(values, axis=0) / (arm.upper - arm.lower)).max(), 1.0)
+        gear = max((np.ptp(values, axis=0) * ~arm.endless / (arm.upper - arm.lower)).max(), 1.0)
         cause = f"degrees, or angles of the motors, before a gear of {gear:.2g} or more"
         raise FileError(
             motion.path,
