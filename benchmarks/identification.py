@@ -88,9 +88,9 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
     problem = Problem(Replay(arm, windows, TIMESTEP), structure.prior, frozen)
     start = time.process_time()
     rough = np.where(problem.frozen, mean, rough_fit(problem))
-    ours = unpack(fit(problem, rough, 8, SCALES).vector, arm.joints)
+    ours = unpack(fit(problem, rough, 8, SCALES).vector)
     ours_s = time.process_time() - start
-    sequences, params = sysid_problem(tool, arm, problem, unpack(mean, arm.joints))
+    sequences, params = sysid_problem(tool, arm, problem, unpack(mean))
     start = time.process_time()
     with contextlib.redirect_stdout(io.StringIO()):  # it tells every iteration, asked to or not
         found, _ = tool.optimize(
@@ -102,7 +102,7 @@ def sysid(arm: Arm, logs: Sequence[RunLog], seconds: float = 80.0) -> None:
         )
     sysid_s = time.process_time() - start
     values = {name: np.exp(found[name].value) for name in ("stiffness", "damping", "coulomb", "armature")}
-    base = unpack(mean, arm.joints)
+    base = unpack(mean)
     theirs = TwinParameters(
         **values,
         offset=found["offset"].value,

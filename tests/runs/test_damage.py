@@ -80,7 +80,7 @@ def plain_log(path):
 
 
 def make_twin(path):
-    made_twin(ARM, unpack(prior(ARM).mean, ARM.joints), fit_seconds=98.5, notes=("one",)).save(path)
+    made_twin(ARM, unpack(prior(ARM).mean), fit_seconds=98.5, notes=("one",)).save(path)
 
 
 def plain_twin(path):

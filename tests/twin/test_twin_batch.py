@@ -15,7 +15,7 @@ ARM = mycobot280()
 
 def random_parameters(rng, count):
     p = prior(ARM)
-    drawn = unpack(p.mean + p.sigma * rng.standard_normal((count, len(p.mean))), ARM.joints)
+    drawn = unpack(p.mean + p.sigma * rng.standard_normal((count, len(p.mean))))
     none = 0.0 * drawn.coulomb
     return replace(drawn, load_friction=none, stiction=none + 1.0)  # as in MuJoCo's models
 

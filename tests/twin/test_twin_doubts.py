@@ -77,7 +77,7 @@ def test_a_motion_that_no_twin_follows_counts_less_and_is_named():
     off = []
     for freedom in (FREEDOM, np.inf):
         found = fit(problem_of(structure, cut(logs, 5.0), freedom=freedom), start, 4)
-        off.append(np.abs(np.log(unpack(found.vector, ARM.joints).coulomb / TRUTH.coulomb)).mean())
+        off.append(np.abs(np.log(unpack(found.vector).coulomb / TRUTH.coulomb)).mean())
     assert off[0] < 0.05 < off[1]
 
 

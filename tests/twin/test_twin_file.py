@@ -23,7 +23,7 @@ def make_twin(seed=0):
     errors = [PredictionError(joint=rng.uniform(0, 0.1), tcp=0.002) for _ in range(3)]
     return made_twin(
         ARM,
-        unpack(np.clip(rng.normal(belief.mean, 0.3 * belief.sigma), belief.lower, belief.upper), ARM.joints),
+        unpack(np.clip(rng.normal(belief.mean, 0.3 * belief.sigma), belief.lower, belief.upper)),
         covariance=covariance,
         narrowing=np.sqrt(np.diag(covariance)) / belief.sigma,
         identified=rng.random(k) < 0.7,

@@ -21,7 +21,7 @@ def test_the_covariance_of_masses_is_how_far_other_masses_move_a_fit():
     here = problem()
     found = fit(here, np.clip(pack(TRUTH), here.prior.lower, here.prior.upper), 3)
     residual, jacobian = _central_differences(here, found.vector)
-    weight = found.weights * influence(residual)
+    weight = here.weights(residual) * influence(residual)
     curvature = here.system(jacobian, weight, residual)[0] + here.prior.precision
     covariance = fixed_covariance(here, found, residual, jacobian, weight, curvature)
     np.testing.assert_allclose(covariance, covariance.T, atol=1e-12)

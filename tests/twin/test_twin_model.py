@@ -78,5 +78,5 @@ def test_prior_scales_with_the_arm_and_contains_its_twins(arm):
     nominal, healthy = nominal_parameters(arm), healthy_parameters(arm)
     np.testing.assert_allclose(nominal.stiffness, [7, 7, 5.6, 5.6, 5.6, 5.6], rtol=0.02)
     assert (healthy.stiffness > 3 * nominal.stiffness).all()
-    drawn = unpack(np.clip(belief.mean + 9 * belief.sigma, belief.lower, belief.upper), arm.joints)
+    drawn = unpack(np.clip(belief.mean + 9 * belief.sigma, belief.lower, belief.upper))
     assert (drawn.stiffness <= 200.1).all()

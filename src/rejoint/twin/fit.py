@@ -57,8 +57,6 @@ class Fit:
     """(k,)"""
     at_bound: Mask
     """(k,) held at a physical bound"""
-    weights: Array
-    """(rows, n) [1/rad^2] of one squared residual"""
 
 
 class Problem:
@@ -91,7 +89,7 @@ class Problem:
 
     def residuals(self, vectors: Array) -> Array:
         """Predicted minus measured positions (m, rows, n) [rad] for vectors (m, k); zero without power."""
-        return (self.replay.predict(unpack(vectors, self.joints)) - self.measured) * self.powered
+        return (self.replay.predict(unpack(vectors)) - self.measured) * self.powered
 
     def weights(self, residual: Array) -> Array:
         """Weights (rows, n) [1/rad^2] of squared residuals (rows, n), by their scale."""
@@ -217,7 +215,7 @@ def fit(problem: Problem, start: Array, iterations: int, scales: Sequence[float]
         x, gained, residual = line_up(problem, np.vstack([x, trials]), residual[None], weights)
         if gained + rescaling < LEAST_GAIN:
             break
-    return Fit(vector=x, at_bound=fixed & ~problem.frozen, weights=problem.weights(residual))
+    return Fit(vector=x, at_bound=fixed & ~problem.frozen)
 
 
 def search(problem: Problem, starts: Array, rng: np.random.Generator, rounds: int) -> Array:
@@ -298,7 +296,7 @@ def uncertainty(problem: Problem, found: Fit, clusters: Index) -> Array:
     """Covariance (k, k) of an estimate from the scores of ``clusters`` (rows,) and what it holds fixed."""
     prior = problem.prior
     residual, jacobian = _central_differences(problem, found.vector)
-    weight = found.weights * influence(residual)
+    weight = problem.weights(residual) * influence(residual)
     rows = np.arange(clusters.max() + 1)[:, None] == clusters
     parts = [problem.system(jacobian[own], weight[own], residual[own]) for own in rows]
     curvatures, scores = map(np.stack, zip(*parts, strict=True))
@@ -371,7 +369,7 @@ def fixed_covariance(
     """
     moved = []
     for other, sigma in others(problem.replay):
-        path = other.predict(unpack(found.vector[None], problem.joints))[0]
+        path = other.predict(unpack(found.vector[None]))[0]
         change = (path - problem.measured - residual) * (sigma / STEP)
         pull = problem.system(jacobian, weight, change)[1]
         moved.append(np.where(problem.frozen | found.at_bound, 0.0, pull))

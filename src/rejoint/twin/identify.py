@@ -185,7 +185,7 @@ def identify(
 def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
     arm, measured = replay.arm, replay.measured
     both = np.vstack([vector, *([pack(healthy_parameters(arm))] if is_hobby(arm) else [])])
-    predicted = [replay.commands, *replay.predict(unpack(both, arm.joints))]
+    predicted = [replay.commands, *replay.predict(unpack(both))]
     no_twin, twin, *healthy = (prediction_error(arm, positions, measured) for positions in predicted)
     return HeldOut(seconds=replay.seconds, no_twin=no_twin, healthy_twin=healthy[0] if healthy else None, twin=twin)
 
@@ -208,7 +208,7 @@ def fitted_twin(
     covariance, unreached = uncertainty(problem, found, clusters), ~limited(problem, found.vector)
     place, vector = at("torque_limit"), found.vector.copy()
     vector[place] = np.where(unreached, belief.upper[place], vector[place])
-    parameters = unpack(vector, problem.joints)
+    parameters = unpack(vector)
     told, sigma = belief.sigma if belief.told is None else belief.told, np.sqrt(np.diag(covariance))
     narrowing = sigma / told
     sagless = np.isin(belief.layout.kind, [number(name) for name in SAGLESS])
@@ -231,7 +231,7 @@ def fitted_twin(
     identified[at("delay")] &= parameters.delay > 0.0
     identified[at("compensation")] = identified[at("stiffness")] & ~light  # what the sag leaves to either
     identified[at("damping")] &= ~found.at_bound[at("delay")]
-    lower = unpack(belief.lower, problem.joints)
+    lower = unpack(belief.lower)
     # a limit that no motion reaches is anything above what was shown
     raised = np.maximum(held, unreached * drive_torque(problem, vector, OFTEN))
     raised = np.clip(raised, lower.torque_limit, 0.99 * limit)
@@ -305,7 +305,7 @@ def identify_logs(
     on_progress(0.7, "held-out motions")
     own = Candidate(
         name=FITTED,
-        parameters=unpack(found.vector, arm.joints),
+        parameters=unpack(found.vector),
         table=table,
         acceleration=structure.acceleration,
     )
@@ -400,7 +400,7 @@ class Motions:
         every = self.chosen(thin(self.windows, self.settings.fit_seconds))
         problem, belief = self.problem(every, structure, stride=1.0), structure.belief
         found = fit(problem, np.where(problem.layout.is_fitted, start, problem.prior.mean), REFINEMENT, SCALES)
-        if unpack(found.vector, problem.joints).delay >= 0.0:
+        if unpack(found.vector).delay >= 0.0:
             return problem, found
         lower = np.where(belief.layout.kind == number("delay"), 0.0, belief.lower)
         rival = self.problem(every, replace(structure, belief=replace(belief, lower=lower)), stride=1.0)
@@ -423,7 +423,7 @@ class Motions:
         if not fresh:
             return structure, problem, found
         replay = replace(problem.replay, windows=fresh)
-        paths = replay.predict(unpack(np.stack([found.vector, other.vector]), self.arm.joints))
+        paths = replay.predict(unpack(np.stack([found.vector, other.vector])))
         simple, full = tool_error(self.arm, paths, tcp_position(self.arm, replay.measured)).mean(axis=1)
         return (fuller, rival, other) if full < simple else (structure, problem, found)
 
@@ -435,12 +435,12 @@ class Motions:
         from rejoint.twin.table import fit_table  # late: free arms need no MuJoCo
 
         touching = replace(problem.replay, windows=thin(windows, self.settings.contact_seconds))
-        return fit_table(touching, unpack(found.vector, problem.joints), self.height)
+        return fit_table(touching, unpack(found.vector), self.height)
 
 
 def independent(problem: Problem) -> Index:
     """(rows,) numbers of independent motions, or of windows where there are few."""
-    motion = np.unique(problem.replay.motion, return_inverse=True)[1].ravel()
+    motion = problem.replay.motion
     return motion if motion.max() + 1 >= CLUSTERED else problem.window
 
 

@@ -195,7 +195,7 @@ class PublishedSet(Table, kw_only=True):
 def read_published(path: Path, arm: Arm) -> Candidate:
     """Read a published parameter set; FileError if wrong. A limit that is not given is out of reach."""
     found = read_toml(path, PublishedSet, "docs/published holds examples")
-    reached, values = unpack(unknown_prior(arm).upper, arm.joints), {}
+    reached, values = unpack(unknown_prior(arm).upper), {}
     for p in PARAMETERS:
         given, shape = getattr(found, p.name), (arm.joints,) if p.per_joint else ()
         try:

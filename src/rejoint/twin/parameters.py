@@ -89,11 +89,6 @@ class TwinParameters(Servos):
         return np.shape(self.stiffness)
 
     @property
-    def joints(self) -> int:
-        """Number of joints."""
-        return self.stiffness_shape[-1]
-
-    @property
     def shape(self) -> tuple[int, ...]:
         """Leading shape: () for one twin, (m,) for a batch."""
         return self.stiffness_shape[:-1]
@@ -189,6 +184,11 @@ class Layout:
 
     joints: int
 
+    @classmethod
+    def of(cls, vector: Array) -> Layout:
+        """Of vectors (..., k)."""
+        return cls(1 + (vector.shape[-1] - len(PARAMETERS)) // PER_JOINT)
+
     @cached_property
     def kind(self) -> Index:
         """(k,) number in `PARAMETERS`."""
@@ -230,8 +230,7 @@ class Layout:
 
     def at(self, name: str) -> slice:
         """Slice of one parameter."""
-        first, last = np.searchsorted(self.kind, [number(name), number(name) + 1])
-        return slice(first, last)
+        return slice(*np.searchsorted(self.kind, [number(name), number(name) + 1]))
 
 
 def number(name: str) -> int:
@@ -254,9 +253,9 @@ def flat(parameters: TwinParameters) -> Array:
     return np.concatenate([values if p.per_joint else values[..., None] for p, values in parts], -1)
 
 
-def shaped(values: Array, joints: int) -> TwinParameters:
+def shaped(values: Array) -> TwinParameters:
     """Inverse of `flat` for ``values`` (..., k)."""
-    at = Layout(joints).at
+    at = Layout.of(values).at
     places = {p.name: at(p.name) if p.per_joint else at(p.name).start for p in PARAMETERS}
     return TwinParameters(**{name: values[..., place] for name, place in places.items()})
 
@@ -264,12 +263,12 @@ def shaped(values: Array, joints: int) -> TwinParameters:
 def pack(parameters: TwinParameters) -> Array:
     """Parameter vector (..., k), with logarithms of the positive quantities."""
     values = flat(parameters)
-    return np.log(values, out=values, where=Layout(parameters.joints).is_log)
+    return np.log(values, out=values, where=Layout.of(values).is_log)
 
 
-def unpack(vector: Array, joints: int) -> TwinParameters:
+def unpack(vector: Array) -> TwinParameters:
     """Inverse of `pack` for ``vector`` (..., k)."""
-    return shaped(np.exp(vector, out=vector.copy(), where=Layout(joints).is_log), joints)
+    return shaped(np.exp(vector, out=vector.copy(), where=Layout.of(vector).is_log))
 
 
 @entity
@@ -291,7 +290,7 @@ class Prior:
     @cached_property
     def layout(self) -> Layout:
         """Of the vectors."""
-        return Layout(1 + (len(self.mean) - len(PARAMETERS)) // PER_JOINT)
+        return Layout.of(self.mean)
 
     @cached_property
     def precision(self) -> Array:
@@ -375,7 +374,7 @@ def lifting_torque(twin: TwinParameters) -> Array:
 @lru_cache
 def nominal_parameters(arm: Arm) -> TwinParameters:
     """Twin of the prior medians."""
-    return unpack(prior(arm).mean, arm.joints)
+    return unpack(prior(arm).mean)
 
 
 def is_hobby(arm: Arm) -> bool:

@@ -57,7 +57,7 @@ class PredictiveController:
 
     def _begin(self, count: int) -> None:
         self._planning: Mask = np.zeros(count, dtype=bool)
-        self._wrong, self._time = np.zeros((2, count))  # [m], [s]
+        self._wrong = np.zeros(count)  # [m]
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
         """Plan for new targets of the arms in ``where`` (B,)."""
@@ -84,8 +84,7 @@ class PredictiveController:
         """Whose plan (B,) is over, by the prediction error ``missed`` (B, n) [rad]."""
         tcp, jacobian = position_kinematics(self._arm, inputs.state.position)
         wrong = np.linalg.norm((jacobian @ missed[..., None])[..., 0], axis=-1)
-        share = np.clip((inputs.state.time - self._time) / MEMORY, 0.0, 1.0)
-        self._wrong, self._time = self._wrong + share * (wrong - self._wrong), inputs.state.time.copy()
+        self._wrong = self._wrong + np.minimum(self._planner.elapsed / MEMORY, 1.0) * (wrong - self._wrong)
         near = np.linalg.norm(inputs.target - tcp, axis=-1) < AT_TARGET
         return near | (inputs.since_target > LATE) | (self._wrong > LOST)
 
@@ -150,7 +149,7 @@ class Planner:
     def follow(self, inputs: ControlInput) -> Array:
         """Advance the twins to now and learn from their errors (B, n) [rad]."""
         now = inputs.state.time
-        elapsed = self._pace.tick(now)
+        elapsed = self.elapsed = self._pace.tick(now)
         shadow = self.shadow
         if (now <= shadow.time).all():
             return np.zeros_like(inputs.sent)

@@ -229,7 +229,7 @@ def limited(problem: Problem, x: Array) -> Mask:
 
 def drive_torque(problem: Problem, x: Array, share: float = SELDOM) -> Array:
     """(n,) [N m] servo torque without limit, exceeded in a ``share`` of the rows."""
-    parameters = unpack(x, problem.joints)
+    parameters = unpack(x)
     lead = problem.replay.references(parameters) + parameters.offset - problem.measured
     lead = np.minimum(np.abs(lead), np.abs(lead - problem.residuals(x[None])[0]))
     return np.quantile(parameters.stiffness * np.maximum(lead, problem.floor), 1.0 - share, axis=0)

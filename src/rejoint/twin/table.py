@@ -34,7 +34,7 @@ RADIUS = 0.005
 IMPEDANCE = 0.9
 """solimp of the contact: constant"""
 
-PLANE, TIP, TCP_SITE = "table", "tip", "tcp"
+PLANE, TIP = "table", "tip"
 """Names in the model"""
 
 
@@ -136,7 +136,7 @@ def twin_spec(arm: Arm, *, table: bool = False) -> mujoco.MjSpec:
         servo.forcelimited, servo.forcerange = True, (-1.0, 1.0)
     if table:
         _add_table(spec, body, arm.tip[:3, 3])
-    body.add_site(name=TCP_SITE, pos=arm.tip[:3, 3], quat=quaternion_of(arm.tip[:3, :3]))
+    body.add_site(name="tcp", pos=arm.tip[:3, 3], quat=quaternion_of(arm.tip[:3, :3]))
     return spec
 
 

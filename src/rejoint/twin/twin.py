@@ -6,7 +6,7 @@ from functools import cached_property
 from itertools import compress
 from operator import methodcaller
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -200,9 +200,8 @@ class Twin(Readable):
     def interval(self) -> tuple[TwinParameters, TwinParameters]:
         """Ends of the 95 % intervals, within the bounds."""
         mean, sigma = pack(self.parameters), np.sqrt(np.diag(self.covariance))
-        n = self.layout.joints
         low, high = np.maximum(mean - NORMAL95 * sigma, self.lower), np.minimum(mean + NORMAL95 * sigma, self.upper)
-        return unpack(low, n), unpack(high, n)
+        return unpack(low), unpack(high)
 
     @property
     def unknown_scale(self) -> tuple[str, ...]:
@@ -227,7 +226,7 @@ class Twin(Readable):
         """
         drawn = pack(self.parameters) + rng.standard_normal((count, len(self.names))) @ self._root.T
         lower = np.where(np.array(self.names) == "delay", 0.0, self.lower)
-        return unpack(np.clip(drawn, lower, self.upper), len(self.joint_names))
+        return unpack(np.clip(drawn, lower, self.upper))
 
     @cached_property
     def _root(self) -> Array:
@@ -269,14 +268,9 @@ def read_twin(path: Path, arm: Arm | None = None) -> Twin:
     """Read a twin; FileError if missing or damaged, ContractError for another arm."""
 
     def build(data: dict[str, Any]) -> Twin:
-        kinds = get_type_hints(Twin)
-        own: dict[str, Any] = {
-            name: msgspec.convert(data[name], kinds[name], dec_hook=array_of) for name in _WHOLE if name in data
-        }
-        for name in ("value", *_COLUMNS):
-            kind = bool if name == "identified" else float
-            own[name] = np.concatenate([np.array(data[p.name][name], dtype=kind) for p in PARAMETERS])
-        twin = Twin(parameters=shaped(own.pop("value"), len(own["joint_names"])), **own)
+        columns = {name: [one for p in PARAMETERS for one in data[p.name][name]] for name in ("value", *_COLUMNS)}
+        parameters = vars(shaped(np.array(columns["value"])))
+        twin = msgspec.convert(data | columns | {"parameters": parameters}, Twin, dec_hook=array_of)
         with np.errstate(all="ignore"):  # logarithms of what is wrong
             values = pack(twin.parameters)
         good = (twin.lower - ROUNDING <= values) & (values <= twin.upper + ROUNDING) & (twin.narrowing > 0.0)
