@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from rejoint.arms.arm import Arm, Array, Mask
 from rejoint.arms.inertia import bare
-from rejoint.system.records import entity
+from rejoint.system.records import entity, taken
 
 
 def turned(vector: Array) -> Array:
@@ -24,17 +24,13 @@ def turned(vector: Array) -> Array:
     return Rotation.from_rotvec(flat).as_matrix().reshape(*np.shape(vector), 3)
 
 
-def rotation_vector(rotation: Array) -> Array:
-    """Rotation vectors (..., 3) [rad] of rotations (..., 3, 3)."""
-    flat = np.reshape(rotation, (-1, 3, 3))
-    found, known = np.full((len(flat), 3), np.nan), np.isfinite(flat).all(axis=(1, 2))
-    found[known] = Rotation.from_matrix(flat[known]).as_rotvec()
-    return found.reshape(np.shape(rotation)[:-1])
-
-
 def rotation_error(current: Array, wanted: Array) -> Array:
     """Rotation vectors (..., 3) [rad] from ``current`` to ``wanted`` (..., 3, 3)."""
-    return rotation_vector(wanted @ current.mT)
+    rotation = wanted @ current.mT
+    flat = rotation.reshape(-1, 3, 3)
+    found, known = np.full((len(flat), 3), np.nan), np.isfinite(flat).all(axis=(1, 2))
+    found[known] = Rotation.from_matrix(flat[known]).as_rotvec()
+    return found.reshape(rotation.shape[:-1])
 
 
 def between_directions(current: Array, wanted: Array) -> Array:
@@ -94,6 +90,10 @@ REACHED_TURN = float(np.radians(5.0))
 """[rad] (chosen)"""
 
 
+_EACH = ("rotation", "whole", "weight")
+"""Fields of `Orientation` with its leading shape"""
+
+
 @entity
 class Orientation:
     """Wanted tool orientations; leading shape (...)."""
@@ -109,7 +109,7 @@ class Orientation:
 
     def __getitem__(self, index: Any) -> Orientation:  # noqa: ANN401 - whatever arrays take
         """Select by an index of the leading shape."""
-        return replace(self, rotation=self.rotation[index], whole=self.whole[index], weight=self.weight[index])
+        return taken(self, _EACH, index)
 
     @property
     def counts(self) -> Mask:
@@ -119,7 +119,7 @@ class Orientation:
 
 def stacked(parts: Sequence[Orientation], axis: int) -> Orientation:
     """Stack along a new leading ``axis``."""
-    each = {name: np.stack([getattr(one, name) for one in parts], axis) for name in ("rotation", "whole", "weight")}
+    each = {name: np.stack([getattr(one, name) for one in parts], axis) for name in _EACH}
     return replace(parts[0], **each)
 
 

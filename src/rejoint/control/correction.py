@@ -58,10 +58,9 @@ class TrueError:
     """[m]"""
 
     @classmethod
-    def of(cls, how: How, estimate: Estimate, unit: float = 1.0) -> TrueError:
-        """Estimate in ``unit`` [m]."""
-        low, high = (None if end is None else unit * end for end in (estimate.low, estimate.high))
-        return cls(how=how, value=unit * estimate.value, low=low, high=high)
+    def of(cls, how: How, estimate: Estimate) -> TrueError:
+        """Estimate [m]."""
+        return cls(how=how, **vars(estimate))
 
     def __str__(self) -> str:
         """In millimetres, with its source."""

@@ -20,7 +20,7 @@ from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask, gravity_torque, tcp
 from rejoint.arms.kinematics import frames
 from rejoint.control.correction import NOT_KNOWN, ToolModel, TrueError, mean_modelled, modelled
 from rejoint.control.servoreference import ServoReference
-from rejoint.diagnosis.regression import mean_of
+from rejoint.diagnosis.regression import mean_of, scaled
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.exclusions import Exclusions, free_runs, joint_speed
 from rejoint.logs.runlog import RunLog
@@ -291,7 +291,7 @@ class OpenLoop:
     @property
     def true_error(self) -> TrueError:
         """Mean true error over the targets, and its source."""
-        return NOT_KNOWN if self.true_error_mm is None else TrueError.of("known", self.true_error_mm, unit=1e-3)
+        return NOT_KNOWN if self.true_error_mm is None else TrueError.of("known", scaled(self.true_error_mm, 1e-3))
 
 
 def settled_rows(log: RunLog) -> list[Index]:

@@ -33,7 +33,7 @@ from rejoint.logs.joints import (
 )
 from rejoint.logs.runlog import AXES
 from rejoint.system.errors import FileError, InputError
-from rejoint.system.records import entity
+from rejoint.system.records import entity, taken
 from rejoint.system.textfile import ANGLES, LENGTHS, shown, split_unit
 
 FEWEST_VALUES = 20
@@ -230,9 +230,9 @@ class RecordedMotion(FileMotion):
 
     def take(self, rows: NDArray[Any]) -> RecordedMotion:
         """Return rows by a mask (T,) or by indices."""
-        arrays = {name: getattr(self, name)[rows] for name in ("number", "time", "position")}
+        kept = taken(self, ("number", "time", "position"), rows)
         command = None if self.command is None else self.command[rows]
-        return replace(self, **arrays, command=command, more={name: one[rows] for name, one in self.more.items()})
+        return replace(kept, command=command, more={name: one[rows] for name, one in self.more.items()})
 
 
 UNITS: dict[str, dict[str, float]] = {

@@ -9,7 +9,7 @@ import hashlib
 import json
 import sys
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -24,6 +24,7 @@ from rejoint.arms import Arm, ArmLike, Array, Index, load_arm
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import CHANGED, MEGABYTE, begins_with, reading, require_file, write_whole
 from rejoint.system.numbers import LONGEST_PERIOD, as_floats, interpolated
+from rejoint.system.records import taken
 from rejoint.system.stopping import noted
 from rejoint.system.textfile import head, shown
 
@@ -144,7 +145,7 @@ class RunLog:
 
     def rows(self, which: slice | Index) -> RunLog:
         """Return some rows."""
-        return replace(self, **{name: getattr(self, name)[which] for name in self.arrays})
+        return taken(self, self.arrays, which)
 
     def visits(self) -> list[Index]:
         """Rows of each target in turn, and of each stretch without one."""

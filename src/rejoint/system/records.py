@@ -1,6 +1,7 @@
 """Frozen dataclasses; how results look at a prompt and in a notebook, and how they become tables of pandas."""
 
-from dataclasses import dataclass, field, fields, is_dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from html import escape
 from importlib import import_module
 from operator import methodcaller
@@ -64,6 +65,11 @@ def value_type(cls: type[T]) -> type[T]:
 def entity(cls: type[T]) -> type[T]:
     """Make the same, compared by identity: it holds arrays."""
     return dataclass(frozen=True, kw_only=True, eq=False, repr=not issubclass(cls, Readable))(cls)
+
+
+def taken(whole: T, names: Iterable[str], where: Any) -> T:  # noqa: ANN401 - whatever arrays take
+    """Return ``whole`` with the rows ``where`` of its arrays ``names``."""
+    return replace(whole, **{name: getattr(whole, name)[where] for name in names})  # type: ignore[type-var]
 
 
 def _short(value: object) -> str:

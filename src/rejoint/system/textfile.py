@@ -107,10 +107,10 @@ class Sheet:
 
         Commas are decimal where no cell has a point.
         """
-        picked = [[row[column] for column in columns] for row in self._cells()]
-        pointed = any("." in cell for row in picked for cell in row)
+        taken = [[row[column] for column in columns] for row in self._cells()]
+        pointed = any("." in cell for row in taken for cell in row)
         values, wrong = np.full((len(self), len(columns)), np.nan), {}
-        for k, row in enumerate(picked):
+        for k, row in enumerate(taken):
             for place, cell in enumerate(row):
                 if cell.casefold() in _EMPTY:
                     continue

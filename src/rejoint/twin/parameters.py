@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rejoint.arms import CATALOGUE, Arm, Array, Index, Mask
 from rejoint.arms.workspace import largest_loads, least_load, length_size
 from rejoint.control.robot import Servos
-from rejoint.system.records import entity, value_type
+from rejoint.system.records import entity, taken, value_type
 
 TIMESTEP = 0.005
 """[s]; chosen: half of it changes predictions by less than an encoder step"""
@@ -95,7 +95,7 @@ class TwinParameters(Servos):
 
     def __getitem__(self, index: int | slice | Index | Mask) -> TwinParameters:
         """Select twins along the first leading axis."""
-        return TwinParameters(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+        return taken(self, vars(self), index)
 
     @classmethod
     def stacked(cls, twins: Sequence[TwinParameters]) -> TwinParameters:

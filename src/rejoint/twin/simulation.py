@@ -7,7 +7,6 @@ Each arm has its own clock.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields
 from itertools import pairwise
 
 import numpy as np
@@ -19,7 +18,7 @@ from rejoint.arms.rotations import between_directions, turned
 from rejoint.arms.workspace import unloaded_joints
 from rejoint.control.robot import JointState
 from rejoint.control.servoreference import Latency, LiveReference
-from rejoint.system.records import entity
+from rejoint.system.records import entity, taken
 from rejoint.twin.parameters import DRY, TIMESTEP, TwinParameters, back_emf, friction_terms
 from rejoint.twin.step import GAIN, GROUP, TERMS, advance, workspace
 
@@ -67,7 +66,7 @@ class Draw:
 
     def rows(self, index: Index) -> Draw:
         """Return some of the arms."""
-        return Draw(**{field.name: getattr(self, field.name)[index] for field in fields(self)})
+        return taken(self, vars(self), index)
 
 
 class ChainBatch:

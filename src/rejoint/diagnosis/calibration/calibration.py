@@ -170,7 +170,7 @@ def belief(arm: Arm, case: PriorCase, outside: Array = NOTHING) -> Belief:
     ``outside`` (o, o): precision of the parameters of the measuring device, zero and unbounded.
     """
     layout = DisplacementLayout(arm)
-    mean, sigma, lower, upper = np.zeros((4, layout.body))
+    mean, sigma, lower, upper = np.repeat([[0.0], [1.0], [-np.inf], [np.inf]], layout.body + len(outside), axis=1)
     stiff = torque_size(arm)
     soft, each = case.compliance / stiff, np.array([SHIFT * length_size(arm)] * 3 + [TURN] * 3)
     links = np.inf if case.twist else 0.0
@@ -185,14 +185,8 @@ def belief(arm: Arm, case: PriorCase, outside: Array = NOTHING) -> Belief:
     for name, row in rows.items():
         for column, value in zip((mean, sigma, lower, upper), row, strict=True):
             column[layout.at(name)] = value
-    free = np.full(len(outside), np.inf)
-    return Belief(
-        mean=np.append(mean, np.zeros(len(outside))),
-        precision=block_diag(np.diag(sigma**-2.0), outside),
-        lower=np.append(lower, -free),
-        upper=np.append(upper, free),
-        odds=case.odds,
-    )
+    precision = block_diag(np.diag(sigma[: layout.body] ** -2.0), outside)
+    return Belief(mean=mean, precision=precision, lower=lower, upper=upper, odds=case.odds)
 
 
 def gravity_of(tilt: Array) -> Array:
@@ -381,8 +375,7 @@ def preload(found: Calibration, position: Array) -> Preload:
         covariance = scatter(arm, replace(own, gravity=gravity), position)[..., :3, :3]
         return float(np.sqrt(np.trace(covariance, axis1=-2, axis2=-1).mean()))
 
-    turns = {side: turned(-WEDGE * np.array([*axis, 0.0])) for side, axis in _SIDES.items()}
-    sides = {side: chance(turn @ own.gravity) for side, turn in turns.items()}
+    sides = {side: chance(turned(-WEDGE * np.append(axis, 0.0)) @ own.gravity) for side, axis in _SIDES.items()}
     best = min(sides, key=lambda side: sides[side])
     lever = levers(arm, position).mean(axis=0)
     often = (np.abs(own.torque(arm, position)) < floating(arm)).mean(axis=0) >= 0.5
@@ -423,8 +416,8 @@ def read_calibration(path: Path, arm: Arm) -> Calibration:
     """Read a calibration; FileError if damaged, ContractError if of another arm."""
 
     def build(data: dict[str, Any]) -> Calibration:
-        check_arm(str(data["arm"]), {str(k): str(v) for k, v in data["geometry"].items()}, arm)
-        kinds = {name: kind for name, kind in get_type_hints(Calibration).items() if name != "arm"}
+        check_arm(data.pop("arm"), data["geometry"], arm)
+        kinds = get_type_hints(Calibration)
         parts = {k: msgspec.convert(data[k], kind, dec_hook=array_of) for k, kind in kinds.items() if k in data}
         own = Calibration(arm=arm, **parts)
         require_finite(own.distance(arm.rest), (3,))  # its arrays fit the arm

@@ -32,7 +32,7 @@ from rejoint.diagnosis.calibration.calibration import (
 )
 from rejoint.diagnosis.calibration.measurements import Measurements, align
 from rejoint.system.errors import InputError
-from rejoint.system.records import entity
+from rejoint.system.records import entity, taken
 from rejoint.system.stopping import check
 
 SLIP, MOST_SLIPS = 30.0, 0.25
@@ -99,7 +99,7 @@ class ToolProblem:
 
     def rows(self, where: Mask) -> ToolProblem:
         """Problem of some rows."""
-        return replace(self, **{name: getattr(self, name)[where] for name in ROWS})
+        return taken(self, ROWS, where)
 
     def outside(self, vector: Array) -> tuple[Array, Array, Array]:
         """Poses (..., 4, 4) of frame and mounting, and the lens's change, for the unknowns (..., k)."""
@@ -148,10 +148,9 @@ class ToolProblem:
 
     def uncorrected(self, out: Mask, start: Array) -> Array:
         """Misfit (r, 6) of rows ``out`` by encoders; the others fit what is outside the arm from ``start`` (k,)."""
-        body, own = slice(0, self.layout.body), self.belief
-        mean, lower, upper = own.mean.copy(), own.lower.copy(), own.upper.copy()
-        mean[body] = lower[body] = upper[body] = self.layout.vector(Displacement.none(self.arm))
-        rigid = replace(self, belief=replace(own, mean=mean, lower=lower, upper=upper))
+        own, none = self.belief, self.layout.vector(Displacement.none(self.arm))
+        held = {name: np.append(none, getattr(own, name)[len(none) :]) for name in ("mean", "lower", "upper")}
+        rigid = replace(self, belief=replace(own, **held))  # type: ignore[arg-type]
         return rigid.rows(out).misfit(solve(rigid.rows(~out), start).vector)
 
 

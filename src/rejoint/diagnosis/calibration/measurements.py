@@ -21,7 +21,7 @@ from rejoint.arms.workspace import in_metres
 from rejoint.logs.runlog import AXES
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import MEGABYTE, read_json, write_json
-from rejoint.system.records import Readable, entity, value_type
+from rejoint.system.records import Readable, entity, taken, value_type
 from rejoint.system.textfile import ANGLES, COUNT, LENGTHS, read_columns
 
 Numbers = NDArray[np.int64]
@@ -75,7 +75,7 @@ class Measurements(Readable):
 
     def rows(self, where: Mask | Index) -> Measurements:
         """Return some rows."""
-        return replace(self, **{name: getattr(self, name)[where] for name in ROWS})
+        return taken(self, ROWS, where)
 
 
 @value_type
