@@ -19,7 +19,7 @@ def main(arms: int = 1024) -> None:
     twins = replace(
         twins,
         stiction=np.full_like(twins.stiffness, 1.5),
-        stiffness=twins.stiffness * rng.uniform(0.5, 2.0, twins.stiffness_shape),
+        stiffness=twins.stiffness * rng.uniform(0.5, 2.0, twins.stiffness.shape),
     )
     chain, judge = ChainBatch(arm, arms), TableBatch(arm, twins)
     start = np.tile(arm.rest, (arms, 1))

@@ -176,10 +176,11 @@ def measure(arm: Arm, log: RunLog, motors: Sequence[float | None] | None = None)
     late = [replace(one, start=one.start + delay, stop=one.stop + delay) for one in data.segments]
     answers, joints = replace(data, segments=tuple(late)), []
     for joint, (k, motor) in enumerate(_stiffness(arm, slow, ratios, motors)):
-        law, dynamics = slow[joint], fast[joint]
+        law, dynamics, ratio = slow[joint], fast[joint], ratios[joint]
         row = _row(answers, joint, law, k)
         torque = {} if law is None or k is None else torque_given(data, joint, law, k.value, delay)
-        damping = None if dynamics is None else _damping_ratio(dynamics)
+        # (d/k) / (2 sqrt(J/k)); the uncertainty of d/k dominates
+        damping = scaled(dynamics.estimate(LAG), 0.5 / ratio.value**0.5) if dynamics and ratio else None
         inertia = None if motor is None else motor.value
         joints.append(replace(row, damping_ratio=damping, motor_inertia_kg_m2=inertia, **torque))
     return Measurement(joints=tuple(joints), period_s=log.period)
@@ -234,20 +235,20 @@ def _stiffness(
     arm: Arm, laws: list[Law | None], ratios: list[Estimate | None], motors: Sequence[float | None] | None
 ) -> list[tuple[Estimate | None, Estimate | None]]:
     links = link_inertia(arm, arm.rest)
-    by_sag = _by_sag(arm, laws, SURE_WITHIN)
-    found = [_loaded(k, ratio, link) for k, ratio, link in zip(by_sag, ratios, links, strict=True)]
+    sure = _by_sag(arm, laws, SURE_WITHIN)
+    own = [_motor(*one) for one in zip(sure, ratios, links, strict=True)]
     known = {joint: within(motor, SAME_KIND) for joint, motor in enumerate(motors or ()) if motor is not None} or {
-        joint: motor for joint, (_, motor) in enumerate(found) if motor
+        joint: motor for joint, motor in enumerate(own) if motor
     }
-    for joint, ((k, _), ratio) in enumerate(zip(found, ratios, strict=True)):
+    for joint, (k, ratio) in enumerate(zip(sure, ratios, strict=True)):
         if not known or k is not None or ratio is None:
             continue
         near = min(known, key=lambda other: abs(other - joint))
         motor = known[near] if near == joint else product(known[near], within(1.0, SAME_SERVO))
         total = shifted(motor, links[joint])
         if total is not None:
-            found[joint] = product(total, reciprocal(ratio)), None
-    return [(k or sag, motor) for (k, motor), sag in zip(found, _by_sag(arm, laws, KNOWN_WITHIN), strict=True)]
+            sure[joint] = product(total, reciprocal(ratio))
+    return [(k or sag, motor) for k, sag, motor in zip(sure, _by_sag(arm, laws, KNOWN_WITHIN), own, strict=True)]
 
 
 def sags(data: ExcitationLog) -> tuple[Array, Array, Array]:
@@ -376,12 +377,12 @@ def _slope(fit: LinearFit | None, doubt: Estimate, ratio: float) -> Estimate | N
     return None if not k.low or k.high is None or k.high > ratio * k.low else product(k, doubt)
 
 
-def _loaded(k: Estimate | None, ratio: Estimate | None, link: float) -> tuple[Estimate | None, Estimate | None]:
+def _motor(k: Estimate | None, ratio: Estimate | None, link: float) -> Estimate | None:
     if k is None or ratio is None:
-        return k, None
+        return None
     motor = shifted(product(k, ratio), -link)
     sure = motor and motor.high and motor.high - motor.value <= MOTOR_SHARE * motor.value
-    return k, motor if sure else None
+    return motor if sure else None
 
 
 def _inertia_ratio(law: Law) -> Estimate | None:
@@ -391,12 +392,6 @@ def _inertia_ratio(law: Law) -> Estimate | None:
         return None
     half = np.hypot((ratio.high or 0.0) - ratio.value, DELAY_ERROR * lag)
     return Estimate(ratio.value, ratio.value - half, ratio.value + half)
-
-
-def _damping_ratio(law: Law) -> Estimate | None:
-    """(d/k) / (2 sqrt(J/k)); the uncertainty of d/k dominates."""
-    ratio = law.coefficients[INERTIA]
-    return None if ratio <= 0 else scaled(law.estimate(LAG), 0.5 / ratio**0.5)
 
 
 def friction_torque(stiffness: Estimate, half_width: Estimate) -> Estimate:

@@ -351,8 +351,12 @@ Postures = Array
 
 def settled_postures(targets: RunLog) -> Postures:
     """Means over each target's settled end; InputError without targets."""
-    rows = settled_rows(targets)
-    return np.array([[joints[part].mean(axis=0) for part in rows] for joints in (targets.position, targets.command)])
+    return _means(targets, settled_rows(targets))
+
+
+def _means(log: RunLog, parts: Sequence[Index]) -> Postures:
+    means = [[joints[part].mean(axis=0) for part in parts] for joints in (log.position, log.command)]
+    return np.reshape(means, (2, -1, log.position.shape[1]))
 
 
 def resting_postures(excluded: Exclusions, *, stops: bool = False) -> Postures:
@@ -370,6 +374,4 @@ def resting_postures(excluded: Exclusions, *, stops: bool = False) -> Postures:
         quiet[last] |= (np.abs(late - early) < AT_REST * SETTLED / 2).all()  # else it is on its way
     runs = free_runs(quiet, time, SETTLED_LAST)  # shorter ones are turning points
     parts = [part for a, b in runs for part in np.array_split(range(a, b), int((b - a) * log.period) or 1)]
-    some = parts[:: len(parts) // PER_LOG + 1]
-    means = [[joints[part].mean(axis=0) for part in some] for joints in (log.position, log.command)]
-    return np.reshape(means, (2, -1, log.position.shape[1]))
+    return _means(log, parts[:: len(parts) // PER_LOG + 1])

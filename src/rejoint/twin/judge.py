@@ -127,8 +127,9 @@ def _mean(errors: Sequence[Errors]) -> Errors:
         known = [one for e in errors if (one := getattr(e, part)) is not None]
         if not known:
             return None
-        joint, tcp = (float(np.mean([getattr(one, name) for one in known])) for name in ("joint", "tcp"))
-        return PredictionError(joint=joint, tcp=tcp)
+        return PredictionError(
+            **{name: float(np.mean([getattr(one, name) for one in known])) for name in ("joint", "tcp")}
+        )
 
     return Errors(**{part: mean(part) for part in ("free", "contact", "all")})
 

@@ -80,18 +80,13 @@ class TwinParameters(Servos):
     def __post_init__(self) -> None:
         for parameter in PARAMETERS:
             array = np.array(getattr(self, parameter.name), dtype=float)
-            shape = self.stiffness_shape if parameter.per_joint else self.shape
+            shape = np.shape(self.stiffness) if parameter.per_joint else self.shape
             object.__setattr__(self, parameter.name, np.broadcast_to(array, shape))  # which is read-only
-
-    @property
-    def stiffness_shape(self) -> tuple[int, ...]:
-        """Shape (..., n) of every per-joint array."""
-        return np.shape(self.stiffness)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Leading shape: () for one twin, (m,) for a batch."""
-        return self.stiffness_shape[:-1]
+        return np.shape(self.stiffness)[:-1]
 
     def __getitem__(self, index: int | slice | Index | Mask) -> TwinParameters:
         """Select twins along the first leading axis."""

@@ -52,7 +52,7 @@ class Draw:
     @staticmethod
     def of(twin: TwinParameters, acceleration: Array | float = np.inf) -> Draw:
         """Take twins (N,), with all delay before the servo."""
-        whole, joints = np.zeros(twin.shape), np.zeros(twin.stiffness_shape)
+        whole, joints = np.zeros(twin.shape), np.zeros(twin.stiffness.shape)
         return Draw(
             twin=twin,
             command_delay=twin.delay,

@@ -57,8 +57,8 @@ class TableBatch:
         self.qpos: Array = self._batch.bind("qpos")
         self.qvel: Array = self._batch.bind("qvel")
         self._ctrl: Array = self._batch.bind("ctrl")
-        gain = np.zeros((*twins.stiffness_shape, mujoco.mjNGAIN))
-        bias = np.zeros((*twins.stiffness_shape, mujoco.mjNBIAS))
+        gain = np.zeros((*twins.stiffness.shape, mujoco.mjNGAIN))
+        bias = np.zeros((*twins.stiffness.shape, mujoco.mjNBIAS))
         gain[..., 0], beside = twins.stiffness, back_emf(arm, twins)
         bias[..., 0], bias[..., 1] = twins.stiffness * twins.offset, -twins.stiffness
         bias[..., 2] = beside - twins.damping
