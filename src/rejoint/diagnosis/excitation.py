@@ -199,7 +199,14 @@ def fitted(arm: Arm, plan: Plan, build: Callable[[Plan], Excitation]) -> Excitat
     """Motion that ``build`` makes of the plan, slowed for the arm, with safe amplitudes."""
     if why := unsafe(arm, arm.rest):
         raise InputError(f"arm {arm.name}: its rest posture is not safe to excite it about: {why}; {_REMEDY}")
-    plan = _slowed(plan, arm)
+    limit = arm.max_speed.min()
+    most = {"step_speed": 0.8, "multisine_speed": 0.6, "travel_speed": 0.4, "hold_speed": 0.2}
+    plan = replace(
+        plan,
+        multisine_band=plan.multisine_band / max(length_size(arm), 1.0) ** 0.5,
+        sweep_speeds=tuple(min(speed, 0.2 * limit) for speed in plan.sweep_speeds),
+        **{name: min(getattr(plan, name), share * limit) for name, share in most.items()},
+    )
     for _ in range(_ATTEMPTS):
         motion = build(plan)
         time = np.union1d(motion.time, np.arange(0.0, motion.duration, 0.05))
@@ -275,17 +282,6 @@ def _hold_postures(arm: Arm, plan: Plan, rng: np.random.Generator) -> Array:
         distance = np.minimum(distance, np.linalg.norm(torque - torque[chosen[-1]], axis=1))
         chosen.append(np.argmax(distance))
     return q[chosen]
-
-
-def _slowed(plan: Plan, arm: Arm) -> Plan:
-    limit = arm.max_speed.min()
-    most = {"step_speed": 0.8, "multisine_speed": 0.6, "travel_speed": 0.4, "hold_speed": 0.2}
-    return replace(
-        plan,
-        multisine_band=plan.multisine_band / max(length_size(arm), 1.0) ** 0.5,
-        sweep_speeds=tuple(min(speed, 0.2 * limit) for speed in plan.sweep_speeds),
-        **{name: min(getattr(plan, name), share * limit) for name, share in most.items()},
-    )
 
 
 EXCITATION_LABEL = "diagnosis/excitation"

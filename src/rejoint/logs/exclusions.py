@@ -79,7 +79,7 @@ class Exclusions:
     @property
     def free(self) -> Mask:
         """(T,) rows of the free arm."""
-        return ~(self.contact | self.stop | self.stale)
+        return self.readable & ~self.contact
 
     @property
     def readable(self) -> Mask:

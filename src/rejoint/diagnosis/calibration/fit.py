@@ -191,15 +191,11 @@ def solve(problem: ToolProblem, start: Array) -> Fitted:
         curvature[np.ix_(free, free)] = found.jac.T @ found.jac
         if abs(before - cost) <= _SMALL * (1.0 + cost):
             break
-    return _fitted(problem, vector, curvature)
-
-
-def _fitted(problem: ToolProblem, vector: Array, curvature: Array) -> Fitted:
     whitener, white, weight = problem.weighed(vector)
-    own, off = problem.belief.precision, vector - problem.belief.mean
-    cost = 0.5 * (weight * (2.0 - weight) * (white**2).sum(axis=1)).sum() + off @ own @ off
+    off = vector - belief.mean
+    cost = 0.5 * (weight * (2.0 - weight) * (white**2).sum(axis=1)).sum() + off @ belief.precision @ off
     spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2))).sum()
-    evidence = -cost + spread + 0.5 * (np.linalg.slogdet(own)[1] - np.linalg.slogdet(curvature)[1])
+    evidence = -cost + spread + 0.5 * (np.linalg.slogdet(belief.precision)[1] - np.linalg.slogdet(curvature)[1])
     return Fitted(vector=vector, covariance=np.asarray(np.linalg.inv(curvature), dtype=float), evidence=float(evidence))
 
 
