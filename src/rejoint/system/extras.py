@@ -14,7 +14,7 @@ from urllib.request import url2pathname
 from rejoint.system.errors import InputError, MissingExtraError, first_line
 
 EXTRAS: dict[str, tuple[str, ...]] = {
-    "train": ("mujoco", "torch", "skrl", "gymnasium", "onnx", "cmaes"),
+    "train": ("mujoco", "torch", "skrl", "onnx", "cmaes"),
     "report": ("matplotlib", "jinja2", "PIL"),
     "logs": ("mcap", "mcap_protobuf", "mcap_ros2", "rosbags"),
     "camera": ("cv2", "PIL"),

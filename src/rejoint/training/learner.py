@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-import gymnasium
 import numpy as np
 import torch
 from skrl.agents.torch.ppo import PPO, PPO_CFG
@@ -21,11 +20,6 @@ LAST_LAYER_SCALE = 0.01
 """Factor on the actor's last layer, so that the untrained policy is the classical law; chosen"""
 
 
-def unbounded(size: int) -> gymnasium.spaces.Box:
-    """Space of all vectors of a size."""
-    return gymnasium.spaces.Box(-np.inf, np.inf, (size,), dtype=np.float32)
-
-
 class Actor(Model):  # type: ignore[misc]
     """Gaussian policy with a falling noise ceiling.
 
@@ -33,7 +27,7 @@ class Actor(Model):  # type: ignore[misc]
     """
 
     def __init__(self, observation_size: int, joints: int, layers: Sequence[int], log_std: float) -> None:
-        super().__init__(observation_space=unbounded(observation_size), action_space=unbounded(joints), device="cpu")
+        super().__init__(observation_space=observation_size, action_space=joints, device="cpu")
         self.net = perceptron((observation_size, *layers, joints))
         with torch.no_grad():
             for parameter in self.net[-1].parameters():
@@ -77,9 +71,9 @@ class Critic(Model):  # type: ignore[misc]
         self, observation_size: int, privileged_size: int, joints: int, layers: Sequence[int], *, taken: bool = False
     ) -> None:
         super().__init__(
-            observation_space=unbounded(observation_size),
-            state_space=unbounded(privileged_size),
-            action_space=unbounded(joints),
+            observation_space=observation_size,
+            state_space=privileged_size,
+            action_space=joints,
             device="cpu",
         )
         self._inputs = ("observations", "states", *["taken_actions"] * taken)

@@ -107,14 +107,13 @@ def train(
     twin: Twin | None,
     *,
     out: Path,
-    options: TrainingOptions | None = None,
+    options: TrainingOptions,
     on_progress: Progress = no_progress,
 ) -> TrainingResult:
     """Train a policy and write ``policy.onnx`` and the folder ``training`` into ``out``.
 
     Without a ``twin`` it uses the broad ranges alone.
     """
-    options = TrainingOptions() if options is None else options
     recipe, files = know_stiffness(options.recipe, arm, twin), RunFolder(out)
     start = options.start if options.start is not None or twin is None else shelf_start(arm, recipe)
     if start is not None and recipe.warm is not None:

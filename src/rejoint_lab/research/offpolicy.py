@@ -30,7 +30,6 @@ from rejoint.training.learner import (
     perceptron,
     stacked,
     step,
-    unbounded,
 )
 from rejoint.training.ranges import training_ranges
 from rejoint.training.task import DEFAULT, ReachTask
@@ -55,7 +54,7 @@ class SquashedActor(Model):  # type: ignore[misc]
     """PPO's perceptron and tanh, with Gaussian noise by observation before it (Haarnoja et al. 2018, appendix C)."""
 
     def __init__(self, observation_size: int, joints: int, layers: Sequence[int]) -> None:
-        super().__init__(observation_space=unbounded(observation_size), action_space=unbounded(joints), device="cpu")
+        super().__init__(observation_space=observation_size, action_space=joints, device="cpu")
         self.net = perceptron((observation_size, *layers, joints))
         self.log_std = nn.Linear(layers[-1], joints)
         with torch.no_grad():
@@ -142,9 +141,9 @@ def _make_agent(task: ReachTask) -> SAC:
     agent = SAC(
         models=models,
         memory=RandomMemory(memory_size=400, num_envs=task.agents, device="cpu"),
-        observation_space=unbounded(size),
-        state_space=unbounded(privileged),
-        action_space=unbounded(n),
+        observation_space=size,
+        state_space=privileged,
+        action_space=n,
         device="cpu",
         cfg=SAC_CFG(
             gradient_steps=2,  # per control cycle
@@ -154,6 +153,7 @@ def _make_agent(task: ReachTask) -> SAC:
             learning_rate=5e-4,
             learning_starts=32,
             grad_norm_clip=ppo.gradient_clip,
+            target_entropy=-n,
             initial_entropy_value=0.01,  # chosen: rewards are about 0.1 a cycle
             experiment={"write_interval": 0, "checkpoint_interval": 0},
         ),
