@@ -52,6 +52,11 @@ def head(month=0.0, arm="a1", **values):
     )
 
 
+def checked(row):
+    """Rows of a check, as `rejoint check` writes them."""
+    return rows_of(row, measures(), outlook([PastCheck(time=row.time, measures=measures())]), row.line)
+
+
 def put(folder, name, rows):
     write_rows(folder / name / SUMMARY, rows)
     return folder / name / SUMMARY
@@ -59,12 +64,12 @@ def put(folder, name, rows):
 
 def test_rows_come_back_as_they_were(tmp_path):
     row = replace(head(), due=BEGIN, used_h=3.5, line='shoulder: 1 mm; "so"', temperature_c=None)
-    path = put(tmp_path, "x", rows_of(row, measures()))
-    assert read_rows(path) == rows_of(row, measures())
+    path = put(tmp_path, "x", checked(row))
+    assert read_rows(path) == checked(row)
 
 
 def test_a_damaged_file_loses_only_itself(tmp_path):
-    paths = [put(tmp_path, str(i), rows_of(head(i), measures())) for i in range(4)]
+    paths = [put(tmp_path, str(i), checked(head(i))) for i in range(4)]
     paths[1].write_bytes(paths[1].read_bytes()[:-40])
     data = bytearray(paths[2].read_bytes())
     data[len(data) // 3] ^= 0xFF
@@ -91,7 +96,7 @@ def test_a_damaged_file_loses_only_itself(tmp_path):
     ],
 )
 def test_a_repair_or_a_moved_arm_begin_a_new_norm(rows, count):
-    every = [row for one in rows for row in (rows_of(one, measures()) if one.kind == "check" else [one])]
+    every = [row for one in rows for row in (checked(one) if one.kind == "check" else [one])]
     past = past_of(every, "a1")
     assert len(past.visits) == count
     assert past.setup == "same"
@@ -102,7 +107,7 @@ def test_a_repair_is_of_the_arm_that_it_names_else_of_the_only_one_at_its_addres
     """Arms are plugged into one port one after the other; the history shows each with its own repair."""
     key, line = name_of("tcp://10.0.0.1:9000", "mycobot280"), "It is soft. Do: rejoint check a1 --repeat 5"
     repair = head(2.5, kind="repair", settled_mm=0.5, error_mm=30.0, state="bad", line=line)
-    checks = [row for month in range(5) for row in rows_of(head(month, arm=f"a{2 - month % 2}"), measures())]
+    checks = [row for month in range(5) for row in checked(head(month, arm=f"a{2 - month % 2}"))]
     rows, unnamed = [*checks, repair], replace(repair, arm=key)
     mine, other = past_of(rows, "a1"), past_of(rows, "a2")
     assert (len(mine.visits), mine.left_mm) == (1, 0.5)

@@ -10,7 +10,7 @@ import rejoint
 from hearing import Hears
 from rejoint.arms import Box, mycobot280
 from rejoint.arms.inertia import LoadedArm, Payload, loaded
-from rejoint.runs.run import Run, mark_quick
+from rejoint.runs.run import Run, mark
 from rejoint.session.driver import RehearsedRobot
 from rejoint.session.inputs import keep, settled
 from rejoint.session.session import Session
@@ -89,7 +89,7 @@ def test_a_rehearsal_gathers_speed_as_the_twin_does():
 def test_kept_settings_drive_the_arm_and_are_named(run):
     a_twin().save(run.path / "twin.toml")
     keep(run, rejoint.Settings(payload=0.05, keep_out=[WALL]))
-    mark_quick(run, quick=True)
+    mark(run.folder.quick)
     said = list[str]()
     with rejoint.connect("emulated:worn", run=run.path, observer=Hears(message=said.append)) as arm:
         assert isinstance(arm.arm, LoadedArm)

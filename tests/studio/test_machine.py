@@ -15,7 +15,7 @@ from rejoint.control.recording import Observer, Observers
 from rejoint.control.robot import WallClock
 from rejoint.runs.fleet.file import name_arm
 from rejoint.runs.repair import STAGES
-from rejoint.runs.run import Run, mark_quick
+from rejoint.runs.run import Run, mark
 from rejoint.session.inputs import keep
 from rejoint.studio import jobs
 from rejoint.studio.machine import Studio
@@ -205,7 +205,7 @@ def test_an_arm_that_answers_at_a_port_is_offered_with_its_address(studio, monke
 
 def test_a_quick_try_in_a_folder_of_any_name_is_left_for_another(studio, tmp_path):
     run = Run.create(tmp_path / "mine", "emulated:worn", mycobot280(), seed=3)
-    mark_quick(run, quick=True)
+    mark(run.folder.quick)
     studio.change(run=run.path, address=run.robot, arm=run.arm)
     assert studio.begin_run(quick=True).path == run.path != studio.begin_run(quick=False).path
 

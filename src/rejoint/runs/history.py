@@ -46,26 +46,22 @@ class Past(NamedTuple):
     """tool error with the controller of its last repair, if any"""
 
 
-def rows_of(head: HistoryRow, measures: CheckMeasures) -> list[HistoryRow]:
-    """Rows of a check; ``head`` holds the common fields."""
+def rows_of(head: HistoryRow, measures: CheckMeasures, found: Outlook, line: str) -> list[HistoryRow]:
+    """Rows of a check, with its outlook; ``head`` holds the common fields."""
     tool = asdict(measures)
     joints = tool.pop("joints")
-    return [replace(head, **tool), *(replace(head, **joint) for joint in joints)]
-
-
-def with_outlook(rows: Sequence[HistoryRow], found: Outlook, line: str) -> list[HistoryRow]:
-    """Add the outlook to the rows of a check."""
     arm = replace(
-        rows[0],
+        head,
         state=found.state,
         line=line,
         tolerance_mm=found.tolerance_mm,
         controlled_mm=found.controlled_mm,
+        **tool,
     )
     if due := found.due:
         arm = replace(arm, due_early=due.early, due=due.middle, due_late=due.late)
     states = {one.joint: one.state for one in reversed(found.changes)}  # the worst of each joint
-    return [arm, *(replace(row, state=states.get(row.joint, "")) for row in rows[1:])]
+    return [arm, *(replace(head, state=states.get(joint["joint"], ""), **joint) for joint in joints)]
 
 
 def past_of(rows: Sequence[HistoryRow], arm: str) -> Past:

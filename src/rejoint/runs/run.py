@@ -231,21 +231,16 @@ def newest_or_new(robot: str, arm: Arm, home: Path) -> Path:
     return newest.path if again else home / f"{last + 1:03}"
 
 
-def mark_quick(run: Run, *, quick: bool) -> None:
-    """Mark a quick stage: the folder's results are not valid."""
-    if quick:
-        _mark(run.folder.quick)
-
-
 def finish(run: Run) -> None:
     """Mark a run as finished if no result is missing."""
     folder = run.folder
     results = (folder.judgement,) if run.info.from_logs else (folder.diagnosis, folder.policy, folder.comparison)
     if all(path.exists() for path in (folder.twin, *results)):
-        _mark(folder.finished)
+        mark(folder.finished)
 
 
-def _mark(path: Path) -> None:
+def mark(path: Path) -> None:
+    """Write a file by which its run is finished, or a quick try, whose results are not valid."""
     write_json(path, {path.stem: datetime.now().isoformat(timespec="seconds")})
 
 

@@ -69,8 +69,6 @@ def cluster(shape: tuple[int, int, int]) -> tuple[str, Labels]:
 
 def _clustered(values: Array, labels: Labels) -> tuple[Array, Array, Labels]:
     known = np.isfinite(values)
-    if not known.any():
-        raise ValueError("a mean needs at least one finite value")
     _, groups = np.unique(labels[known], return_inverse=True)
     return values[known], np.bincount(groups, weights=values[known]).astype(float), np.bincount(groups)
 

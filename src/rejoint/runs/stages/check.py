@@ -28,7 +28,7 @@ from rejoint.logs.history import (
     write_rows,
 )
 from rejoint.logs.journal import recover
-from rejoint.runs.history import MOVED, REPAIR, SET_UP, owners, past_of, rows_of, with_outlook
+from rejoint.runs.history import MOVED, REPAIR, SET_UP, owners, past_of, rows_of
 from rejoint.runs.run import RUNS, staged
 from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of, to_keep
 from rejoint.session.session import Session
@@ -195,7 +195,7 @@ def check(
             )
             with saving(result):
                 log.save(folder / LOG)
-                write_rows(folder / SUMMARY, with_outlook(rows_of(replace(head, norm=begins), measures), found, line))
+                write_rows(folder / SUMMARY, rows_of(replace(head, norm=begins), measures, found, line))
             return result
 
 

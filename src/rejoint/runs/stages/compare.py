@@ -192,13 +192,9 @@ class ComparisonJob:
 
         helper = ahead or self.begin_ahead()
         with noted(), staged(self.run, "compare") as watch, nullcontext() if helper is None else closing(helper):
-
-            def watched(count: int, seed: int) -> Robot:
-                return watch(self._open(count, seed))
-
             runner = self.runner(
                 self.factories,
-                watched,
+                lambda count, seed: watch(self._open(count, seed)),
                 on_progress=on_progress,
                 on_trial=see,
                 ledger=ledger,

@@ -19,7 +19,7 @@ from rejoint.logs.exclusions import recorded_gain
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
 from rejoint.runs.history import summarise
-from rejoint.runs.run import Run, exclusive, mark_quick, staged
+from rejoint.runs.run import Run, exclusive, mark, staged
 from rejoint.session.inputs import (
     FIRST_ROBOT,
     ArmLike,
@@ -156,7 +156,9 @@ def diagnose(
             result = Diagnosed(diagnosis=found, targets=logs.targets, excitation=logs.excitation)
             if session.run is not None:
                 with saving(result):
-                    mark_quick(session.run.begin(), quick=quick)
+                    session.run.begin()
+                    if quick:
+                        mark(session.run.folder.quick)
                     for name, log in (("targets", logs.targets), ("excitation", logs.excitation)):
                         log.save(set_aside(session.run.folder.log(name)))
                     write_json(set_aside(session.run.folder.diagnosis), found)

@@ -20,7 +20,7 @@ from rejoint.diagnosis.segments import of_diagnosis
 from rejoint.logs.consistency import remarks_on, require_commands
 from rejoint.logs.exclusions import answered, powered
 from rejoint.logs.runlog import RunLog
-from rejoint.runs.run import Run, exclusive, mark_quick, staged
+from rejoint.runs.run import Run, exclusive, mark, staged
 from rejoint.session.context import ControllerMaker, twin_under
 from rejoint.session.inputs import (
     ArmLike,
@@ -329,7 +329,8 @@ def train(
                     "policy for any worn arm of this kind with --generic"
                 )
             stack.enter_context(staged(found, "train"))
-            mark_quick(found, quick=quick)
+            if quick:
+                mark(found.folder.quick)
             servo_gains = tuned.under if tuned is not None else None if told is None else told.servo_gains
             if tuned is not None and known is not None:
                 known = twin_under(known, tuned.found, tuned.under)
