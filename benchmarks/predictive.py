@@ -19,9 +19,8 @@ from rejoint.control.robot import ControlInput, JointState
 from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
-from rejoint_lab.research.evaluation.evaluate import planned
+from rejoint_lab.research.evaluation.evaluate import classical, planned
 from rejoint_lab.research.evaluation.family import ArmFamily, find_variant, open_family, own_twin, try_on
-from rejoint_lab.research.rivals import make_rival
 
 TARGETS, STEPS = 3, 2000
 OTHER_MOTIONS = 1_000_000
@@ -71,7 +70,7 @@ def main(
         "predictive, integrator": lambda arm: PredictiveController.of(arm, own, FeedforwardController(arm, stiffness)),
         "integrator": lambda arm: make_controller("integrator", arm),
         "feedforward": lambda arm: make_controller("feedforward", arm),
-        "tuned-feedforward": lambda arm: make_rival("tuned-feedforward", arm),
+        "tuned-feedforward": lambda arm: classical("tuned-feedforward").make((), arm),
     }.items():
         outcome = try_on(ARM, lambda: open_family(ARM, condition, drawn), make, drawn)
         found = held_columns(outcome, arms)

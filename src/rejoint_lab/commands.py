@@ -162,11 +162,11 @@ def tune(
     """Tune classical rivals by CMA-ES on the randomised twins that policies are trained on."""
     require("rejoint research tune", "train")
     from rejoint.training.ranges import BroadRanges
-    from rejoint_lab.research.rivals import RIVALS, make_rival
+    from rejoint_lab.research.rivals import find_rival
     from rejoint_lab.research.rivals import tune as search
 
     arm = call.arm()
-    ranges, chosen = BroadRanges(arm=arm), {name: RIVALS[name] for name in rivals if make_rival(name, arm)}
+    ranges, chosen = BroadRanges(arm=arm), {name: find_rival(name) for name in rivals}
     known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
     tuned = {}
     with call.bar("tune") as update:

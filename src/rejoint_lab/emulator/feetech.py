@@ -65,9 +65,6 @@ MIDDLE = COUNTS // 2
 class Servo(Registers):
     """Registers of one servo; its arm updates measured ones."""
 
-    def __init__(self, number: int) -> None:
-        super().__init__(TABLE, SIZE, number)
-
     def read(self, address: int, size: int) -> bytes:
         """Read ``size`` registers; zeros beyond the last."""
         return bytes(self.cells[address : address + size]).ljust(size, b"\0")
@@ -122,7 +119,7 @@ class StsArm(ServoArm[Servo]):
         ends = (MIDDLE + np.rint(np.array(pairs) / self.arm.encoder_step)).astype(int).tolist()
         ends[-2] = 0, COUNTS - 1  # as LeRobot's calibration says: the wrist may turn fully
         for joint, (record, homing, limits) in enumerate(zip(records, HOMING, ends, strict=True)):
-            servo = Servo(joint + 1)
+            servo = Servo(TABLE, SIZE, joint + 1)
             self.servos.append(servo)
             servo.joint, (servo.setting, servo.status) = joint, record
             servo["Homing_Offset"], servo["Torque_Enable"] = homing, 1

@@ -137,11 +137,11 @@ RIVALS = {
 }
 
 
-def make_rival(name: str, arm: Arm) -> Controller:
-    """Build a rival with its own gains; InputError for other names."""
+def find_rival(name: str) -> Rival:
+    """Look up a rival; InputError for other names."""
     if name not in RIVALS:
         raise InputError(f"no rival is called {name!r}; known rivals: {', '.join(RIVALS)}")
-    return RIVALS[name].make(arm, RIVALS[name].tuned)
+    return RIVALS[name]
 
 
 CANDIDATES = 12

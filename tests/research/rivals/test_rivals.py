@@ -7,7 +7,7 @@ from rejoint.control.controllers.classical import NOMINAL_PERIOD, dls_step
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges
 from rejoint_lab.research.evaluation.evaluate import classical
-from rejoint_lab.research.rivals import Gain, Rival, ScheduledController, make_rival, tune
+from rejoint_lab.research.rivals import Gain, Rival, ScheduledController, find_rival, tune
 from standin import inputs_of, state_of
 
 ARM = mycobot280()
@@ -78,4 +78,4 @@ def test_gains_must_be_those_of_the_rival():
         with pytest.raises(InputError, match="expected"):
             classical("tuned-feedforward", gains)
     with pytest.raises(InputError, match="tuned-feedforward"):
-        make_rival("nobody", ARM)
+        find_rival("nobody")
