@@ -241,14 +241,9 @@ class Learner:
         self.ppo = Ppo(self.actor, self.critic, settings, agents=task.agents)
         self.curve: list[CurvePoint] = []
 
-    @property
-    def iteration(self) -> int:
-        """Number of updates."""
-        return len(self.curve)
-
     def iterate(self) -> CurvePoint:
         """Run one rollout and one update."""
-        start, s, done = time.perf_counter(), self.settings, self.iteration
+        start, s, done = time.perf_counter(), self.settings, len(self.curve)
         self.actor.ceiling = float(np.interp(done, (0.0, max(CEILING_FALLS * s.iterations, 1.0)), s.log_std_ceiling))
         rate = float(np.interp(done, (0, max(s.iterations - 1, 1)), (s.learning_rate, s.final_learning_rate)))
         with on_one_thread(PRECISION):

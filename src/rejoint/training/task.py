@@ -133,14 +133,12 @@ class ReachTask:
         law = replace(law, loosen=0.0, authority_floor=max(law.authority_floor, EXPLORED * law.authority_slope))
         self.commander = Commander(arm, law)
         self.privileged_size = 8 * (n + 1)
-        self._limits, self._no_speed = GuardLimits.of(arm).of_simulation(), np.zeros((agents, n))
-        self._rng = np.random.default_rng(seed)
-        self._since, self._period, self._middle = np.zeros((3, agents))
-        self._sent, self._tcp = np.zeros((agents, n)), np.zeros((agents, 3))
-        self._aim, self._travel, self._far = np.zeros((agents, 3)), np.zeros(agents), np.zeros(agents, dtype=bool)
-        self._goal, self._start = np.zeros((2, agents, n))
-        self._lifts = np.zeros((agents, n))
-        """(N, n) [N m] torques that the motors lift"""
+        self._limits, self._rng = GuardLimits.of(arm).of_simulation(), np.random.default_rng(seed)
+        self._since, self._period, self._middle, self._travel = np.zeros((4, agents))
+        self._tcp, self._aim = np.zeros((2, agents, 3))
+        self._sent, self._goal, self._start, self._no_speed, self._lifts = np.zeros((5, agents, n))
+        """the last: (N, n) [N m] torques that the motors lift"""
+        self._far = np.zeros(agents, dtype=bool)
         self._step, self._count = np.zeros((2, agents), dtype=np.int64)
         self._constants = np.zeros((agents, 4 + 6 * n), dtype=np.float32)
 
@@ -152,7 +150,7 @@ class ReachTask:
         if staggered:  # so that a batch holds all phases of a motion and not the same one everywhere
             self._step[:] = self._rng.integers(0, self.settings.hold_steps, self.agents)
             self._count[:] = self._rng.integers(0, self.settings.targets, self.agents)
-        return self.observer.observe(self._inputs()), self._privileged(np.zeros(self.agents))
+        return self._observe(np.zeros(self.agents))
 
     def step(self, action: NDArray[np.floating]) -> Transition:
         """Run one control cycle with actions (N, n)."""
@@ -173,15 +171,14 @@ class ReachTask:
         self._tcp = tcp
         distance = np.linalg.norm(self._aim - tcp, axis=-1)
         self._step += 1
-        final, final_privileged = self.observer.observe(self._inputs()), self._privileged(speed)
+        final, final_privileged = self._observe(speed)
         late = self._step >= s.hold_steps
         reward, reached, collided = self.judge(asked, before, distance, speed, late)
         cut = (late | collided) & ~reached
         observation, privileged = final, final_privileged
         if (ended := reached | cut).any():
             self._renew(ended, collided)
-            observation = self.observer.observe(self._inputs())
-            privileged = self._privileged(np.where(ended, 0.0, speed))
+            observation, privileged = self._observe(np.where(ended, 0.0, speed))
         return Transition(observation, privileged, final, final_privileged, reward, reached, cut, collided, distance)
 
     def judge(
@@ -277,14 +274,14 @@ class ReachTask:
         self.observer.reset_learned(where)
         self.commander.reset_learned(self._inputs(), where)
 
-    def _privileged(self, speed: Array) -> Observation:
-        """Privileged observation (N, p); ``speed`` (N,) [m/s] of the TCP."""
+    def _observe(self, speed: Array) -> tuple[Observation, Observation]:
+        """Observation (N, size) and privileged observation (N, p); ``speed`` (N,) [m/s] of the TCP."""
         twins, distance = self.simulation.twins, np.linalg.norm(self._aim - self._tcp, axis=-1)
         lag = self.simulation.reference.position - twins.qpos
         scalars = (10.0 * distance, (np.log(distance + 0.0003) + 5.0) / 2.0, 3.0 * speed, 30.0 * self._period)
         joints = np.concatenate([0.5 * twins.qvel, 4.0 * lag], axis=-1).clip(-8.0, 8.0)
         moving = np.concatenate([np.stack(scalars, axis=-1), joints], axis=-1).astype(np.float32)
-        return np.concatenate([moving, self._constants], axis=1)
+        return self.observer.observe(self._inputs()), np.concatenate([moving, self._constants], axis=1)
 
 
 @value_type

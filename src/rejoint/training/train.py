@@ -121,11 +121,11 @@ def train(
     learner = make_learner(arm, twin, recipe, options, start)
     total = recipe.ppo.iterations
     contract = policy_contract(arm, twin, recipe, options.seed, options.servo_gains)
-    while learner.iteration < total:
-        if options.snapshot_every and learner.iteration % options.snapshot_every == 0:
-            export_policy(files.snapshot(learner.iteration), learner.actor.net, contract)
+    for done in range(total):
+        if options.snapshot_every and done % options.snapshot_every == 0:
+            export_policy(files.snapshot(done), learner.actor.net, contract)
         point = learner.iterate()
-        on_progress(learner.iteration / total, describe(point))
+        on_progress((done + 1) / total, describe(point))
     return finish_training(files, learner.actor.net, contract, learner.curve)
 
 
@@ -254,8 +254,7 @@ def policy_graph(network: nn.Sequential, observation_size: int) -> onnx.ModelPro
 def to_onnx(module: nn.Module, inputs: dict[str, int], outputs: list[str], **options: Any) -> onnx.ModelProto:  # noqa: ANN401
     """ONNX graph of ``module`` for ``inputs`` (1, size) of these names and sizes; ``options`` are PyTorch's."""
     file = io.BytesIO()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # its successor cannot write the loop of a search
+    with warnings.catch_warnings(action="ignore"):  # its successor cannot write the loop of a search
         torch.onnx.export(
             module,
             tuple(torch.zeros(1, size) for size in inputs.values()),
