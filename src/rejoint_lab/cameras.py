@@ -81,7 +81,7 @@ _AZIMUTH = np.radians(-60.0)
 
 def beside(arm: Arm, *, board: Board = ON_TOOL) -> Rig:
     """Camera beside an arm, and an upright board on its tool."""
-    middle = 0.5 * (arm.targets.lower + arm.targets.upper)
+    middle = arm.targets.middle
     level = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
     standing = looking(middle + AWAY * (0.95 * level + [0.0, 0.0, 0.31]), middle)
     rest = tcp_pose(arm, arm.rest)
@@ -93,7 +93,7 @@ def beside(arm: Arm, *, board: Board = ON_TOOL) -> Rig:
 
 def on_tool(arm: Arm, *, board: Board) -> Rig:
     """Camera on an arm's tool, and a flat board below the targets."""
-    floor = 0.5 * (arm.targets.lower + arm.targets.upper) * [1.0, 1.0, 0.0]
+    floor = arm.targets.middle * [1.0, 1.0, 0.0]
     lying = np.diag([1.0, -1.0, -1.0, 1.0])  # seen from above
     lying[:3, 3] = floor - lying[:3, :2] @ board.size / 2
     rest = tcp_pose(arm, arm.rest)

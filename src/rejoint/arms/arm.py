@@ -42,6 +42,11 @@ class Box:
             raise InputError(f"a box needs lower < upper on three axes, in metres, got {self.lower}, {self.upper}")
 
     @property
+    def middle(self) -> Array:
+        """(3,) [m]."""
+        return 0.5 * (self.lower + self.upper)
+
+    @property
     def is_point(self) -> bool:
         """Whether it is the place of an arm without a region."""
         return bool((self.upper - self.lower).max() < 3.0 * POINT)

@@ -374,7 +374,7 @@ def prove(page: StudioPage, status: Status) -> None:
 def places(page: StudioPage, status: Status) -> None:
     """Type a point."""
     targets = (status.arm or load_arm(DEFAULT_ARM)).targets
-    for name, usual in zip("xyz", 500.0 * (targets.lower + targets.upper), strict=True):
+    for name, usual in zip("xyz", 1e3 * targets.middle, strict=True):
         page.field(f"{name} mm", name, round(usual))
 
 

@@ -305,7 +305,7 @@ def standard_path(name: str, arm: Arm, seed: int = 0) -> Path:
     else:
         waves, half = _waves(value, phase, seed), _FILL * (arm.targets.upper - arm.targets.lower) / 2
         shape = half * waves / np.abs(waves).max(axis=0)
-    return Path(time=time, place=(arm.targets.lower + arm.targets.upper) / 2 + shape, name=name)
+    return Path(time=time, place=arm.targets.middle + shape, name=name)
 
 
 def _rising(time: Array) -> Array:

@@ -215,8 +215,8 @@ class WebPage:
         self._true = scene.add_icosphere("/true", 0.003 * dot, TRUE, visible=False)
         self._tool, self._aims = Trail(scene, "/trail", TRAIL), Trail(scene, "/way", TARGET)
         for k, box in enumerate(arm.keep_out):
-            place, extent = 0.5 * (box.lower + box.upper), box.upper - box.lower
-            scene.add_box(f"/keep_out/{k}", GHOST, extent, position=place, opacity=GHOST_OPACITY)
+            extent = box.upper - box.lower
+            scene.add_box(f"/keep_out/{k}", GHOST, extent, position=box.middle, opacity=GHOST_OPACITY)
 
     def draw(self, shown: Shown | None, doing: Doing) -> None:
         """Draw new cycles of the run, if there is one."""

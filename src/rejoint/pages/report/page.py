@@ -174,10 +174,10 @@ class Contents:
 
     def next_steps(self) -> dict[str, str]:
         """Commands for a repaired arm by what they are for; none before a comparison on a robot."""
-        run, robot, targets = self.folder.path, self.info.robot, self.arm.targets
+        run, robot = self.folder.path, self.info.robot
         if self.comparison is None or self.info.from_logs:
             return {}
-        middle = (f"{value:.0f}" for value in 500.0 * (targets.lower + targets.upper))
+        middle = (f"{value:.0f}" for value in 1e3 * self.arm.targets.middle)
         steps = {
             "go to a point (mm)": command("goto", robot, *middle, "--run", run),
             "go to the points of a file": command("deploy", robot, run, "--targets", "points.csv"),
