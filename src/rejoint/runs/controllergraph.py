@@ -53,8 +53,7 @@ def _tensor(value: Any) -> Any:  # noqa: ANN401 - whatever NumPy takes
 
 
 def _scripted(function: Callable[..., Any]) -> Any:  # noqa: ANN401
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         return torch.jit.script(function)
 
 

@@ -177,7 +177,7 @@ def repair(
     if only is None and not chosen.dry_run:
         require("rejoint repair", "train", "report")
     built = opened(run, arm).arm if isinstance(run, Run) else arm_of(robot, arm)
-    if isinstance(what.preset, str) and not chosen.dry_run:
+    if not chosen.dry_run:
         from rejoint.training.task import load_preset  # late: a process that only moves arms trains nothing
 
         load_preset(what.preset)

@@ -73,9 +73,7 @@ def as_place(
 ) -> NDArray[np.float64]:
     """Return a point (3,) [m], or points of so many ``axes``; InputError for anything else, and for millimetres."""
     place = as_floats(what, given, expected)
-    if (
-        place.size and place.ndim in axes and place.shape[-1] == 3 and np.all(np.abs(place) <= most)  # which no NaN is
-    ):
+    if place.size and place.ndim in axes and place.shape[-1] == 3 and np.all(np.abs(place) <= most):  # no NaN is
         return place
     raise InputError(
         f"{what}: expected {expected}, of at most {most:g} m ({1e3 * most:g} millimetres), got {repr(given)[:80]}"

@@ -231,8 +231,8 @@ class ServoTable:
         with (files(__package__) / file).open(encoding="utf-8") as stream:
             self.rows = tuple(csv.DictReader(stream))
         columns = tuple(self.rows[0])
-        self.models = columns[columns.index("sign") + 1 :]
-        self.new = {model: {row["name"]: float(row[model]) for row in self.rows if row[model]} for model in self.models}
+        models = columns[columns.index("sign") + 1 :]
+        self.new = {model: {row["name"]: float(row[model]) for row in self.rows if row[model]} for model in models}
         """values as sold by model and name"""
         self.settings = {
             row["setting"]: (row["name"], float(row["factor"] or 1)) for row in self.rows if row["setting"]

@@ -50,7 +50,7 @@ def drive_of(servo: str) -> tuple[str, int, dict[str, int]]:
 
 def drives(servos: Sequence[str]) -> bool:
     """Whether all ``servos`` of an arm are of the table."""
-    return bool(servos) and all(drive_of(servo)[0] in TABLE.models for servo in servos)
+    return bool(servos) and all(drive_of(servo)[0] in NEW for servo in servos)
 
 
 SETTING = record_of(

@@ -139,8 +139,7 @@ def _started(address: str | None, cpus: int | None, resources: dict[str, float])
         os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
         how = {"address": "local", "num_cpus": cpus, "resources": resources, "include_dashboard": False}
         how["object_store_memory"] = STORE
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Ray's own, about itself
+    with warnings.catch_warnings(action="ignore"):  # Ray's own, about itself
         import ray
 
         try:

@@ -145,10 +145,12 @@ def diagnose(
             gains = gains_in_force(driven)
             (logs,) = record(driven, seed=session.seed, on_progress=update)
             if gains is not None:
-                with_p = {
-                    name: replace(log, gain=np.full_like(log.position, gains["p"])) for name, log in vars(logs).items()
-                }
-                logs = DiagnosisLogs(**with_p)
+                logs = DiagnosisLogs(
+                    **{
+                        name: replace(log, gain=np.full_like(log.position, gains["p"]))
+                        for name, log in vars(logs).items()
+                    }
+                )
             if reference is None:
                 volts = driven.read().voltage
                 reference = healthy_reference(driven.arm, address_of(robot), gains, None if volts is None else volts[0])
