@@ -120,7 +120,7 @@ class Soak:
         firmware.fresh = True
         self._client = VirtualClient(firmware)
         self._client.sent = self._count
-        self._before = firmware.time
+        self._before = firmware.plant.time[0]
         self._requests = swing()
         self.answers = 0
 
@@ -138,7 +138,7 @@ class Soak:
     def drift(self) -> float:
         """[s] by which the robot's clock is ahead of the world's."""
         self._client.wait(0.0)
-        return (self._firmware.time - self._before) - (self._client.now - START)
+        return (self._firmware.plant.time[0] - self._before) - (self._client.now - START)
 
     def _count(self, _now: float, _data: bytes) -> None:
         self.answers += 1

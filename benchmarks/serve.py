@@ -314,7 +314,7 @@ def healthy(count: int) -> Array:
                 firmware.error = 0
                 continue
             firmware.advance(1.0)
-            while firmware.moving and firmware.time < LONGEST * (row * count + k + 1):
+            while firmware.moving and firmware.plant.time[0] < LONGEST * (row * count + k + 1):
                 firmware.advance(0.1)
             firmware.advance(0.5)
             errors[row, k] = 1e3 * np.linalg.norm(firmware.plant.true_tcp()[0] - goal[:3, 3])

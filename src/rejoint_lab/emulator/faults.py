@@ -208,8 +208,8 @@ class EmulatedArm(ABC):
         true, arm = self.plant.encoder()[0], self.arm
         high = true >= 0.5 * (arm.lower + arm.upper)
         outwards, end = np.where(high, 1.0, -1.0), np.where(high, arm.upper + BEYOND_LIMIT, arm.lower - BEYOND_LIMIT)
-        run = np.minimum(RUN_AWAY * self._since("limit"), np.maximum(outwards * (end - true), 0.0))
-        return true + outwards * (np.maximum(run, 0.0) - JUMP * self._begun("jump"))
+        run = np.clip(RUN_AWAY * self._since("limit"), 0.0, np.maximum(outwards * (end - true), 0.0))
+        return true + outwards * (run - JUMP * self._begun("jump"))
 
     @property
     def temperature(self) -> Array:

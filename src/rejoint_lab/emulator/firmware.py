@@ -113,11 +113,6 @@ class Firmware(EmulatedArm, Computer):
 
     # --- time -------------------------------------------------------------------------------
 
-    @property
-    def time(self) -> float:
-        """[s] since the start."""
-        return self._clock_ms * 1e-3
-
     def advance(self, duration: float) -> None:
         """Advance by ``duration`` [s], in whole milliseconds."""
         self._owed += duration * 1e3

@@ -230,13 +230,6 @@ class ServoArm(EmulatedArm, Generic[S]):
         """Whether the supply is off."""
         return bool(in_force(self.faults, "power", self._elapsed))
 
-    @property
-    def silent(self) -> set[int]:
-        """Joints, and the gripper behind the last, whose servos neither hear nor answer."""
-        if self.unpowered:
-            return {*range(self.arm.joints + 1)}
-        return {joint for spell in in_force(self.faults, "mute", self._elapsed) for joint in spell.joints}
-
     @abstractmethod
     def restart(self, servo: S) -> None:
         """Cycle the power of a servo."""
@@ -284,11 +277,13 @@ class ServoArm(EmulatedArm, Generic[S]):
 
     def hearing(self) -> list[S]:
         """Servos that hear the client."""
-        silent = self.silent
+        if self.unpowered:
+            return []
+        mute = self._begun("mute")
         return [
             servo
             for servo in self.servos
-            if servo.joint not in silent
+            if not self._of_joint(servo, mute, False)
             and servo.awake <= self.clock
             and self.rate in (None, dict(enumerate(self.rates)).get(servo["Baud_Rate"]))
         ]

@@ -61,15 +61,10 @@ def scale_of(arm: Arm) -> Ratios:
 @lru_cache(maxsize=16)
 def effort(arm: Arm) -> Array:
     """Torque (n,) [N m] for the size of each joint."""
-    load = largest_load(arm)
+    load = heaviest_load(arm, _GRID)
     rate = np.linalg.norm(GRAVITY) / reach(arm)
     least = max(FLOOR * float(load.max()), np.finfo(float).tiny)
     return np.sqrt(load**2 + (link_inertia(arm, arm.rest) * rate) ** 2 + least**2)
-
-
-def largest_load(arm: Arm) -> Array:
-    """Largest gravity torque (n,) [N m] over the targets."""
-    return heaviest_load(arm, _GRID)
 
 
 LIFE = 2500.0
@@ -326,7 +321,7 @@ def scale_wear(base: str, arm: Arm) -> Wear:
         values[name] = values[name] * scale.torque
     values["damping_gain"] = values["damping_gain"] * (scale.torque * scale.time)
     values["reflected_inertia"] = values["reflected_inertia"] * (scale.torque * scale.time**2)
-    moving = largest_load(arm) * (1 + values["load_friction"]) + values["coulomb"]
+    moving = heaviest_load(arm, _GRID) * (1 + values["load_friction"]) + values["coulomb"]
     values["torque_limit"] = np.maximum(values["torque_limit"], _MOVE_MARGIN * moving)
     return Wear(name=wear.name, play_in_loop=wear.play_in_loop, **values)
 
@@ -346,7 +341,7 @@ def draw_wear(wear: Wear, arm: Arm, seed: int) -> Wear:
 
 def lifting_torque(wear: Wear, arm: Arm) -> Array:
     """Torque (n,) [N m] that lifts the arm from standstill at all targets."""
-    return largest_load(arm) * (1 + wear.load_friction) + wear.stiction
+    return heaviest_load(arm, _GRID) * (1 + wear.load_friction) + wear.stiction
 
 
 _Size = Annotated[float, msgspec.Meta(ge=0.0, le=1e300)]

@@ -20,6 +20,7 @@ class IdealPlant:
         self.seen = np.full((1, 6), np.nan)  # by servos that went blind: they see no progress and run on
         self.on = True
         self.writes = []
+        self.time = np.zeros(1)
         self.temperature = np.full((1, 6), 30.0)
         self.torque = np.zeros((1, 6))
         self.speed = np.zeros((1, 6))
@@ -29,7 +30,7 @@ class IdealPlant:
         self.writes.append(self.goal[0].copy())
 
     def advance(self, duration):
-        before = self.position
+        before, self.time = self.position, self.time + duration
         if self.on:
             reach = self.limit * duration
             missing = self.goal - np.where(np.isnan(self.seen), before, self.seen)

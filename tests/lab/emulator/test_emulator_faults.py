@@ -143,7 +143,7 @@ def test_a_silent_link_says_nothing_more_and_takes_no_orders(firmware):
     client.ask([GET_ANGLES] * 10 + [SEND_ANGLES] * 90, pause=0.1)
     assert 0.8 < sent[-1][0] < 1.0
     np.testing.assert_allclose(firmware.planned_angles, ARM.rest)
-    assert firmware.time == pytest.approx(30.0, abs=0.1)
+    assert firmware.plant.time[0] == pytest.approx(30.0, abs=0.1)
 
 
 @pytest.mark.parametrize(("text", "error"), [("die@0.5", DeathError), ("gone=0.5/2", LinkGoneError)])

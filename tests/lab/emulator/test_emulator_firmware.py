@@ -112,7 +112,7 @@ def test_unreachable_coords_are_refused_with_the_vendors_codes(firmware, plant):
 def test_less_than_a_millisecond_is_not_lost(firmware):
     for _ in range(1000):
         firmware.advance(0.0004)
-    assert firmware.time == pytest.approx(0.4, abs=1.1e-3)
+    assert firmware.plant.time[0] == pytest.approx(0.4, abs=1.1e-3)
 
 
 KNOWN = [

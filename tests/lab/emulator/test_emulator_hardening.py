@@ -64,8 +64,8 @@ def test_garbage_without_end_takes_no_memory_and_no_time_from_the_arm(firmware):
             assert tracemalloc.get_traced_memory()[1] < 500_000  # a megabyte was sent
         finally:
             tracemalloc.stop()
-        before = firmware.time
-        until(lambda: firmware.time > before)
+        before = firmware.plant.time[0]
+        until(lambda: firmware.plant.time[0] > before)
         client.sendall(bytes(40) + GET_ANGLES)  # as long as any frame that the noise may have begun
         until(lambda: b"\xfe\xfe\x0e\x20" in client.recv(65536))
 

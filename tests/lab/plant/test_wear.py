@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rejoint.arms import mycobot280
+from rejoint.arms.workspace import heaviest_load
 from rejoint.system.errors import FileError, ProfileError
 from rejoint_lab.plant.wear import (
     PARAMETERS,
     draw_wear,
-    largest_load,
     lifting_torque,
     load_wear,
     wear_arm,
@@ -79,5 +79,5 @@ def test_every_profile_of_the_package_lifts_the_arm_everywhere_in_the_region():
     for name in SCALING:
         wear = load_wear(name, ARM)
         assert (wear.torque_limit >= lifting_torque(wear, ARM))[:3].all(), name
-        moving = largest_load(ARM) * (1 + wear.load_friction) + wear.coulomb
+        moving = heaviest_load(ARM, 5) * (1 + wear.load_friction) + wear.coulomb
         assert (wear.torque_limit >= 1.1 * moving).all(), name
