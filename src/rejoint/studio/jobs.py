@@ -314,5 +314,4 @@ def check_again(studio: Studio) -> None:
 
 def history(studio: Studio) -> None:
     """Read the history of all arms."""
-    rows = find_rows(studio.home)[0] if studio.home.is_dir() else []
-    studio.keep(history=tuple(cells(one) for one in arms_of(rows)))
+    studio.keep(history=tuple(cells(one) for one in arms_of(find_rows(studio.home)[0])))

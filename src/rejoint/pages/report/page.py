@@ -271,7 +271,7 @@ def write_report(folder: Path) -> Path:
     return contents.folder.report
 
 
-def write_replay(folder: Path, judgement: Judgement, *, twin: str, logs: str) -> Path:
+def write_replay(folder: Path, judgement: Judgement, twin: str, logs: str) -> Path:
     """Write ``replay.html`` and ``replay.json``; returns the page."""
     write_json(folder / "replay.json", judgement)
     page = folder / "replay.html"

@@ -377,7 +377,7 @@ class FleetResult:
     @property
     def code(self) -> int:
         """Exit code of the worst arm."""
-        return min((row.code for row in self.rows), key=_ORDER.index, default=0)
+        return self.rows[0].code
 
 
 def _row(campaign: Campaign, one: ArmProgress) -> FleetRow:

@@ -234,7 +234,7 @@ def replay(
         from rejoint.pages.report.page import write_replay
 
         named = [str(given) if isinstance(given, Path | str) else "memory" for given in (twin, logs)]
-        page = write_replay(Path(out), judgement, twin=named[0], logs=named[1])
+        page = write_replay(Path(out), judgement, *named)
     return Replayed(logs=tuple(motions), positions=tuple(path[TWIN] for path in paths), judgement=judgement, page=page)
 
 
