@@ -79,12 +79,11 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    plain = ("cycles", "day_and_time", "grouped", "listed", "number", "parameter_name", "plural", "sentence")
+    plain = ("cycles", "day_and_time", "ends", "grouped", "listed", "number", "parameter_name", "plural", "sentence")
     found.filters |= {name: getattr(words, name) for name in plain}
     found.filters |= {
         "cell": words.measured,
         "degrees": np.degrees,
-        "ends": lambda one, digits, factor=1.0, unit="": words.interval(one.low, one.high, digits, unit, factor),
         "mm": lambda one, digits=2, unit="mm": words.number(None if one is None else words.MM * one, digits, unit),
         "quoted": lambda names: words.listed([f"“{name}”" for name in names]),
     }

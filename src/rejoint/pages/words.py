@@ -30,6 +30,11 @@ def interval(low: float | None, high: float | None, digits: int = 3, unit: str =
     return f"{low:z.{places}f} to {high:z.{places}f}{_suffix(unit)}"
 
 
+def ends(one: Estimate, digits: int, factor: float = 1.0, unit: str = "") -> str:
+    """Interval of an estimate times ``factor``."""
+    return interval(one.low, one.high, digits, unit, factor)
+
+
 def grouped(found: Mapping[str, Sequence[str]]) -> str:
     """Names and their joints: ``damping (joint4), delay (arm)``."""
     return ", ".join(f"{name} ({', '.join(joints)})" for name, joints in found.items())
@@ -63,7 +68,7 @@ def measured(value: Spread | Estimate | None, factor: float = MM, digits: int = 
     one = value.mean if isinstance(value, Spread) else value
     if one is None:
         return Cell(UNKNOWN)
-    return Cell(number(one.value * factor, digits), interval(one.low, one.high, digits, factor=factor))
+    return Cell(number(one.value * factor, digits), ends(one, digits, factor))
 
 
 def parameter_name(element: str) -> str:

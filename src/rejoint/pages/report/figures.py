@@ -108,10 +108,8 @@ class Series:
     look: Look
     value: Array
     """(K,); NaN is omitted"""
-    low: Array | None = None
-    """(K,) lower end"""
-    high: Array | None = None
-    """(K,) upper end"""
+    band: Sequence[Array] = ()
+    """lower and upper end, (K,) each, if any"""
 
 
 @STYLED
@@ -144,8 +142,8 @@ def curves(
         for one in series:
             colour = one.look.colour
             axes.plot(across, one.value, color=colour, linestyle=one.look.dash, linewidth=1.7, label=one.label)
-            if one.low is not None and one.high is not None:
-                axes.fill_between(across, one.low, one.high, color=colour, alpha=0.16, linewidth=0)
+            if one.band:
+                axes.fill_between(across, *one.band, color=colour, alpha=0.16, linewidth=0)
         axes.set_title(title)
         axes.set_xlim(across[0], across[-1])
         if rows:
@@ -238,8 +236,8 @@ class Gallery:
         longest = max((time[-1] for group in found.values() for time, _ in group), default=0.0)
         time, series = np.arange(0.0, min(longest, LONGEST) + STEP / 2, STEP), []
         for name, group in found.items():
-            middle, low, high = MM * spread_over_time(group, time)
-            series.append(Series(label=short(name), look=look_of(name), value=middle, low=low, high=high))
+            middle, *band = MM * spread_over_time(group, time)
+            series.append(Series(label=short(name), look=look_of(name), value=middle, band=band))
         figure = curves({"": series}, time, "time since the target was set [s]", (WIDE, 3.8))
         (axes,) = figure.axes
         axes.set(yscale="log", ylabel="encoder error [mm]")

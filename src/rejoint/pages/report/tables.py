@@ -7,7 +7,7 @@ import numpy as np
 from rejoint.arms import Array
 from rejoint.control.comparison.result import Comparison, ControllerRow, Protocol
 from rejoint.diagnosis.calibration.calibration import Calibration
-from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, interval, listed, measured, number, plural
+from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, ends, listed, measured, number, plural
 from rejoint.system.statistics import NORMAL95, Estimate, Spread, bootstrap_mean
 from rejoint.twin.twin import NO_TWIN, Judgement, smaller
 
@@ -56,7 +56,7 @@ def plain_table(
 
 def _success(row: ControllerRow) -> Cell:
     one = row.success
-    return Cell(number(100 * row.reached, 3), "" if one is None else interval(one.low, one.high, 2, factor=100))
+    return Cell(number(100 * row.reached, 3), "" if one is None else ends(one, 2, 100))
 
 
 def _crossing(found: Spread | None) -> str:
@@ -155,5 +155,5 @@ def _contact(judgement: Judgement) -> str:
 
 
 def _mean(estimate: Estimate) -> str:
-    text = interval(estimate.low, estimate.high, 3)
+    text = ends(estimate, 3)
     return f"{number(estimate.value, 3, 'mm')}{text and f' (95 %: {text})'}"

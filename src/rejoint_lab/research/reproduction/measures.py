@@ -308,8 +308,8 @@ def course(bench: Bench, name: str, arms: str) -> Columns:
 
 def _over(label: str, values: Array) -> Series:
     """Means of ``values`` (R, K), with the smallest and the largest."""
-    mean, low, high = (over(axis=0) for over in (values.mean, values.min, values.max))
-    return Series(label=label, look=CONDITIONS[label][2], value=mean, low=low, high=high)
+    mean, *band = (over(axis=0) for over in (values.mean, values.min, values.max))
+    return Series(label=label, look=CONDITIONS[label][2], value=mean, band=band)
 
 
 FIG_9_DWELL = 5.0
