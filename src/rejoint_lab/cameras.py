@@ -62,9 +62,8 @@ def _paint(canvas: NDArray[np.float32], board: Board, lens: Lens, pose: Array) -
     ray = cv2.undistortPoints(pixel.reshape(-1, 1, 2).astype(float), lens.matrix, lens.distortion, criteria=_EXACT)
     ray = cv2.resize(ray.reshape(pixel.shape), size, interpolation=cv2.INTER_LINEAR)
     rim = _QUIET / _DOT - 0.5  # the centre of the first dot is half a dot from its edge
-    dots = np.array(
-        [[1.0 / _DOT / board.stretch_x, 0.0, rim], [0.0, 1.0 / _DOT / board.stretch_y, rim], [0.0, 0.0, 1.0]]
-    )
+    dots = np.diag([1.0 / _DOT / board.stretch_x, 1.0 / _DOT / board.stretch_y, 1.0])
+    dots[:2, 2] = rim
     dot = cv2.perspectiveTransform(ray, dots @ np.linalg.inv(pose[:3, [0, 1, 3]])).astype(np.float32)
     fine = cv2.resize(part, size, interpolation=cv2.INTER_NEAREST)
     cv2.remap(drawn(board), dot, None, cv2.INTER_LINEAR, dst=fine, borderMode=cv2.BORDER_TRANSPARENT)
@@ -105,9 +104,9 @@ def looking(place: Array, at: Array) -> Array:
     """Pose (4, 4) of an upright camera at ``place`` (3,)."""
     forwards = (at - place) / np.linalg.norm(at - place)
     right = np.cross(forwards, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
     pose = np.eye(4)
-    pose[:3, 0] = right / np.linalg.norm(right)
-    pose[:3, 1], pose[:3, 2], pose[:3, 3] = np.cross(forwards, pose[:3, 0]), forwards, place
+    pose[:3] = np.column_stack([right, np.cross(forwards, right), forwards, place])
     return pose
 
 
