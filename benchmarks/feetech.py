@@ -31,7 +31,7 @@ from rejoint.control.loop import Schedule, run
 from rejoint.logs.importing import import_logs
 from rejoint.robots import open_robot, place_of
 from rejoint.robots.feetech import KIND
-from rejoint.robots.feetech.bus import MEASURED, FeetechBus, FeetechWire
+from rejoint.robots.feetech.bus import MEASURED, FeetechBus
 from rejoint.robots.wireserver import Finder
 from rejoint.session.session import connect
 from rejoint.system.errors import NoReplyError
@@ -110,7 +110,7 @@ def asked_of(bus, goal):
     goals = b"".join(bytes([servo, *count.to_bytes(2, "little")]) for servo, count in pairs)
     write = encode(Packet(BROADCAST, SYNC_WRITE, bytes([KIND.registers["goal"].address, 2]) + goals))
     read = encode(Packet(BROADCAST, SYNC_READ, bytes([*bus.span(MEASURED), *bus.ids])))
-    size = (bus.span(MEASURED)[1] + FeetechWire.overhead) * len(bus.ids)
+    size = (bus.span(MEASURED)[1] + 6) * len(bus.ids)  # header, ID, length, errors, checksum
     answers = StsArm.build(ARM, "so101").execute(Finder(FORMAT).feed(read)[0])
     return write, read, size, (len(write) + len(read)) * BYTE + answers[-1].after + ADAPTER
 
