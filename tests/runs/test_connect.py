@@ -16,6 +16,7 @@ from madetwin import made_calibration, made_twin
 from rejoint.arms import Box, Displacement, clearances, mycobot280, plan, tcp_position
 from rejoint.control.controllers.posture import PlannedWay, Unloading
 from rejoint.control.correction import Modelled
+from rejoint.control.loop import BRAKE
 from rejoint.control.reference import Reference
 from rejoint.control.robot import ControlInput
 from rejoint.runs.run import Run
@@ -131,6 +132,14 @@ def test_what_cannot_be_reached_is_an_error_with_a_name_and_the_arm_goes_on(run)
             arm.follow([0.1 * k, 0.18, 0.0, 0.2] for k in range(9))
         assert arm.move_to(HERE, within_m=0.05) is not None
     assert issubclass(rejoint.NotReachedError, TimeoutError)
+
+
+def test_an_arm_that_is_kept_from_its_goal_rests_there():
+    kept = pytest.raises(rejoint.NotReachedError)
+    with rejoint.connect("emulated:worn?payload=0.25") as arm, arm.recording("kept") as taken, kept:
+        arm.move_to([0.26, 0.0, 0.1], timeout_s=6.0)
+    lead = np.abs(taken.log.command - taken.log.position).max(axis=1)
+    assert lead[-1] < 1.01 * BRAKE < 0.4 * lead.max()
 
 
 def test_what_ended_a_motion_that_nobody_waited_for_is_told(run):
