@@ -207,6 +207,8 @@ CHANCE = 3.0
 
 LIMITED = 0.97
 """Share of the largest torque that may be a limit; chosen"""
+UNEXPLAINED = 0.5
+"""Share of the effort's variance of no law; chosen: of a joint that is pushed, 0.65"""
 UNEVEN = 1.5
 """Ratio of speeds that tell friction by speed from dry friction; chosen"""
 
@@ -251,7 +253,7 @@ def _motion(data: ExcitationLog, joint: int, delays: Array = _NONE, fast: bool =
 def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool = False) -> Law | None:
     """Fit the law to slow motion (friction, stiffness), or with ``fast`` motion (inertia).
 
-    None with too little motion, one direction only, or readings further apart than `COARSEST`.
+    None with too little motion, one direction only, readings further apart than `COARSEST`, or no such law.
     """
     if not data.log.commanded or data.log.period > COARSEST:
         return None
@@ -266,6 +268,9 @@ def fit_law(data: ExcitationLog, joint: int, delay: float = 0.0, *, fast: bool =
     fit = fit_trimmed(design, error, motion.cluster, light)
     if np.median((error - design @ fit.coefficients) * np.sign(motion.gravity)) < 0.0:  # but never less
         fit = fit_trimmed(design, error, motion.cluster)
+    every = motion if fast else _motion(data, joint, np.array([delay]))
+    if rms(every.error[0] - every.design @ fit.coefficients[:-1]) > rms(every.error[0]):
+        return None  # of other motion it tells less than nothing
     follows, moments = (1.0, None) if known or fast else _shared(data, motion, joint)
     return Law(
         **vars(fit),
@@ -359,7 +364,7 @@ def gravity_terms(arm: Arm, position: Array, joint: int) -> Array:
 
 
 def fit_effort(data: ExcitationLog, joint: int, *, own: bool = False) -> LinearFit | None:
-    """Fit torque or current to the law, with the links' inertia; None with too little motion.
+    """Fit torque or current to the law, with the links' inertia; None with too little motion, or most unexplained.
 
     Outside the catalogue by any masses, or by their ``own``. Friction grows with the speed where speeds differ.
     """
@@ -373,10 +378,11 @@ def fit_effort(data: ExcitationLog, joint: int, *, own: bool = False) -> LinearF
         design = np.hstack([design, _any_masses(data, motion, joint)[1]])
     slow, fast = np.quantile(np.abs(design[:, LAG]), [0.05, 0.95])
     found = fit_trimmed(design, motion.effort, motion.cluster)
-    if own or (fast > UNEVEN * slow and found.estimate(LAG).low > 0.0):  # type: ignore[operator]
-        return found
-    design[:, LAG] = 0.0
-    return fit_trimmed(design, motion.effort, motion.cluster)
+    if not own and not (fast > UNEVEN * slow and found.estimate(LAG).low > 0.0):  # type: ignore[operator]
+        design[:, LAG] = 0.0
+        found = fit_trimmed(design, motion.effort, motion.cluster)
+    left = motion.effort - design @ found.coefficients
+    return found if left.var() < UNEXPLAINED * motion.effort.var() else None
 
 
 def fit_torque(data: ExcitationLog, joint: int) -> LinearFit | None:
