@@ -103,10 +103,11 @@ export run --format ufdr | urdf
 export nothing.parquet out.csv | no such file
 export abc.csv out.mcap | rejoint import
 import one-joint.csv logs | --arm
-import abc.csv logs | position.JOINT
-import book.xlsx logs | CSV
-import nothing logs | no such file
-import folder logs | a folder with none
+import abc.csv logs | --arm
+import abc.csv logs --arm koch | position.JOINT
+import book.xlsx logs --arm koch | CSV
+import nothing logs --arm koch | no such file
+import folder logs --arm koch | a folder with none
 replay run/twin.toml --logs folder | twin.toml
 history nothing | no such folder
 check emulated:worn --tolerance three | 'three'

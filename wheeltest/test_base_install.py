@@ -96,7 +96,7 @@ def test_it_judges_and_converts_logs(base: Base, complete: RunFolder) -> None:
     for words in (
         ("diagnose", "--logs", str(complete.path / "logs"), "--run", "judged"),
         ("export", log, "log.csv"),
-        ("import", "log.csv", "imported", "--format", "table"),
+        ("import", "log.csv", "imported", "--arm", "mycobot280"),
     ):
         ended = base.rejoint(*words)
         assert ended.code == 0, ended.err

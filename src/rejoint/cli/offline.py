@@ -15,12 +15,12 @@ from rejoint.logs.consistency import remarks_on
 from rejoint.logs.exporting import export_log
 from rejoint.logs.importing import Format, import_logs
 from rejoint.logs.joints import ImportOptions, read_map
-from rejoint.logs.runfolder import RunFolder, files_below, read_info, runs_below
+from rejoint.logs.runfolder import RUNS, RunFolder, files_below, read_info, runs_below
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.robots import ports as lines
 from rejoint.runs.fleet.file import known_arms, name_arm, names_file, remove_name
-from rejoint.runs.run import RUNS, Run
+from rejoint.runs.run import Run
 from rejoint.session.inputs import arm_of_twin, run_of_twin, settled
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.extras import require
@@ -109,6 +109,8 @@ def import_(
 ) -> object:
     """Turn logs of other programs into run logs; units, joint order and clock are checked, never guessed."""
     options = changed(options, columns=read_map(columns or ()), names=listed(order), torque_off=listed(torque_off))
+    if call.pick.arm is None:
+        raise InputError("import: whose motion is it? Name the arm with --arm, or give its URDF, MJCF or TOML file")
     chosen = call.arm()
     with call.bar("import") as update:
         imported = import_logs(source, chosen, out=out, format=kind, options=options, on_progress=update)
