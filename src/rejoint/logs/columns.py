@@ -374,8 +374,10 @@ class _GroupedColumns:
             raise InputError("--map takes a column twice")
         meant = {(one.group, one.name) for one in mapped}
         self.columns = {i: one for i, one in self.columns.items() if (one.group, one.name) not in meant} | own
-        if ignored := [title or "(no name)" for i, title in enumerate(motion.titles) if i not in self.columns]:
-            self.notes.append(f"columns ignored: {shown(ignored)}")
+        read = {one.place for one in found}  # but another column of the same means it more surely
+        ignored = sorted({*range(len(motion.titles))} - {*self.columns}, key=lambda i: (i not in read, i))
+        if ignored:
+            self.notes.append(f"columns ignored: {shown([motion.titles[i] or '(no name)' for i in ignored])}")
         if not self.of("position"):
             raise FileError(
                 motion.path,
