@@ -343,8 +343,9 @@ def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
     order = ("alarm", "drifting", "steady", "learning")
 
     def rank(one: Change) -> tuple[object, ...]:
-        most = max(other.moved_mm for other in drawn if (other.state, other.joint) == (one.state, one.joint))
-        return order.index(one.state), not one.joint, -most, one.quantity == "deviation", -one.moved_mm
+        alike = [other for other in drawn if (other.state, other.joint, other.better) == (one.state, one.joint, False)]
+        most = max((other.moved_mm for other in alike), default=0.0)
+        return order.index(one.state), not one.joint, -most, one.better, one.quantity == "deviation", -one.moved_mm
 
     return tuple(sorted(drawn, key=rank))
 
@@ -411,6 +412,8 @@ def _due(visits: Sequence[PastCheck], error: Array, tolerance: float) -> Due | N
     return None if early is None else Due(early=early, middle=middle, late=late)
 
 
+ROUGH = 1.0
+"""[mm] beyond ten times the usual scatter; chosen"""
 MONTH = timedelta(days=30)
 """Between checks of a steady arm; chosen"""
 MEANINGS = {
@@ -447,10 +450,14 @@ def _advice(found: Outlook, repair: str) -> tuple[str, str]:
         )
     if found.state == "steady":
         due = found.due and found.due.early
-        later = "nothing; check again in a month"
+        later = "nothing; check again in a month; behind the encoders a measured point shows more (rejoint calibrate)"
         if due and due - found.newest < MONTH:
             later = f"nothing yet; check again by {_day(due)}, and make time for a repair"
-        return f"No change since {since}", repair if found.over else later
+        what, moved = f"No change since {since} that the encoders see", found.changes[-1].moved_mm
+        if moved > ROUGH:
+            what = f"The first checks since {since} differ too much to call {moved:.1f} mm a change"
+            later = f"if a load or a place changed between them, check with --moved --repeat 5; else {later}"
+        return what, repair if found.over else later
     return f"{_cause_of(found)}{also}", _act(found, worst, repair)
 
 
