@@ -21,12 +21,12 @@ from rejoint.cli.console import HERE, picked, typed
 from rejoint.cli.options import Call, takes
 from rejoint.control.robot import part_of
 from rejoint.control.servogains import in_words, tunable
-from rejoint.logs.runfolder import RunFolder, locked, read_effort
+from rejoint.logs.runfolder import RUNS, RunFolder, locked, read_effort
 from rejoint.robots import BusRobot, place_of
 from rejoint.robots.bus import LOST
 from rejoint.robots.knobs import ServoAddress
 from rejoint.robots.servobus import Gripper, ServoBus
-from rejoint.runs.run import RUNS, Run
+from rejoint.runs.run import Run
 from rejoint.session.inputs import FIRST_ROBOT, Settings, source_of, to_keep
 from rejoint.session.session import Session
 from rejoint.system.errors import InputError, NotReachedError
@@ -310,7 +310,7 @@ def goto(
     error_mm = None if found.error_m is None else 1e3 * found.error_m
     if error_mm is not None and not call.code:
         place = ", ".join(f"{1e3 * value:.1f}" for value in found.tool_m)
-        call.result(f"The tool is at ({place}) mm, {error_mm:.2f} mm off by the encoders.")
+        call.result(f"By the encoders the tool is at ({place}) mm, {error_mm:.2f} mm off.")
     return {"target_mm": [x, y, z], "error_mm": error_mm, "reached": not call.code}
 
 
