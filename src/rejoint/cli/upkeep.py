@@ -19,12 +19,13 @@ from rejoint.cli.options import Call, takes
 from rejoint.control.recording import StageObserver
 from rejoint.diagnosis.calibration.measurements import NOISE, read_measurements
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge
-from rejoint.logs.history import find_rows
+from rejoint.logs.history import find_rows, name_of
+from rejoint.logs.runfolder import RUNS
 from rejoint.robots import place_of
 from rejoint.runs.fleet.campaign import FleetRules, Verb, run_fleet
 from rejoint.runs.fleet.file import known_arms
-from rejoint.runs.history import HEADERS, arms_of, cells, code_of, prometheus_text, write_history
-from rejoint.runs.run import RUNS, Run, newest_or_new
+from rejoint.runs.history import HEADERS, arms_of, cells, code_of, counted, prometheus_text, write_history
+from rejoint.runs.run import Run, newest_or_new
 from rejoint.runs.stages.calibrate import POINTS
 from rejoint.runs.stages.check import BETWEEN
 from rejoint.session.inputs import NO_GAUGE, GaugeLike, to_keep
@@ -74,7 +75,7 @@ def calibrate(
         job = Run.open(run).seeded(call.settings.seed)
     else:
         job = Run.plan(run, robot, call.arm(robot), call.settings.seed or 0, name=call.named.name)
-    settings = replace(call.settings, calibration="none" if fresh else None)
+    settings = replace(call.settings, calibration="none") if fresh else call.settings
     means = Means(frame=frame, unit=unit, sigma=1e-3 * noise, board=board, carried=PLACES[board_on])
     about = {"run": job, "settings": settings}
     if kind == "points":
@@ -255,8 +256,9 @@ def check(
     """See in two and a half minutes whether an arm has become worse, and how long it will still do."""
     chosen, name = call.arm(robot), call.named.name or None if name is None else name
     described = (word for option, value in call.pick._asdict().items() if value for word in (f"--{option}", value))
+    here = counted(history, name or name_of(robot, chosen.name))
     notes = replace(
-        notes, repair=command("repair", call.named.name or robot, *described, *to_keep(call.settings).options())
+        notes, repair=command("repair", call.named.name or robot, *described, *to_keep(call.settings).options(), *here)
     )
     with call.watched("check") as observer:
         for number in range(repeat):

@@ -37,6 +37,8 @@ except ImportError:  # not on Windows
 FORMAT = 2
 """Version; others are refused"""
 
+RUNS = Path("runs")
+"""Default parent of run folders"""
 LOGS = "logs:"
 """Robot of a run made from logs, before their folder"""
 

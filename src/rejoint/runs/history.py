@@ -14,6 +14,7 @@ from rejoint.control.comparison.recommend import recommend
 from rejoint.diagnosis.monitoring.judge import Outlook, PastCheck
 from rejoint.diagnosis.monitoring.measures import CheckMeasures
 from rejoint.logs.history import SUMMARY, HistoryRow, name_of, read_rows, setup_of, utc_now, write_rows
+from rejoint.logs.runfolder import RUNS
 from rejoint.pages.html import write_page
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError
@@ -44,6 +45,11 @@ class Past(NamedTuple):
     """fingerprint of its description, or empty"""
     left_mm: float | None = None
     """tool error with the controller of its last repair, if any"""
+
+
+def counted(history: Path, arm: str) -> tuple[object, ...]:
+    """Options of a repair that counts in a ``history``."""
+    return () if history == Path(RUNS) else ("--run", history / f"{arm}-{utc_now():%Y%m%d}")
 
 
 def rows_of(head: HistoryRow, measures: CheckMeasures, found: Outlook, line: str) -> list[HistoryRow]:

@@ -23,7 +23,7 @@ from rejoint.control.robot import JointState, Robot, WatchedRobot
 from rejoint.control.servogains import GainsFound
 from rejoint.logs.history import plain_name
 from rejoint.logs.journal import Journal
-from rejoint.logs.runfolder import LOGS, RunFolder, RunInfo, StageCost, add, locked, read_info, runs_below
+from rejoint.logs.runfolder import LOGS, RUNS, RunFolder, RunInfo, StageCost, add, locked, read_info, runs_below
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import UNFINISHED, as_path, digest, read_bounded, read_json_if, reading, unused, write_json
@@ -34,10 +34,6 @@ from rejoint.twin.twin import Twin, read_twin
 
 if TYPE_CHECKING:
     from rejoint.diagnosis.diagnosis import Diagnosis
-
-
-RUNS = Path("runs")
-"""Default parent of run folders"""
 
 
 @entity

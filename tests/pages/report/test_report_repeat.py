@@ -39,7 +39,7 @@ def test_a_comparison_that_is_to_be_made_needs_no_options(tmp_path, diagnosis, r
 @pytest.mark.parametrize(
     ("named", "line"),
     [
-        ({}, "rejoint check emulated:worn --repeat 5"),
+        ({}, "rejoint check emulated:worn --history {} --repeat 5"),
         ({"name": "a1", "fleet": "F.toml"}, "rejoint fleet check F.toml --only a1"),
         ({"robot": "logs:x", "name": "a1"}, ""),
     ],
@@ -50,4 +50,4 @@ def test_the_check_after_a_repair_is_of_the_same_arm(tmp_path, diagnosis, named,
     write_json(folder.finished, {})
     rejoint.report(tmp_path)
     row = summary_of(tmp_path / SUMMARY)
-    assert (row.arm, what_to_do(row)) == (named.get("name", "mycobot280-emulated-worn"), line)
+    assert (row.arm, what_to_do(row)) == (named.get("name", "mycobot280-emulated-worn"), line.format(tmp_path.parent))

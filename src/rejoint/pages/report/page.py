@@ -27,7 +27,17 @@ from rejoint.diagnosis.calibration.measurements import Measurements, read_measur
 from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.segments import modelled_errors
-from rejoint.logs.runfolder import Effort, KeptSettings, RunFolder, RunInfo, cost, read_info, read_settings
+from rejoint.logs.runfolder import (
+    RUNS,
+    Effort,
+    KeptSettings,
+    RunFolder,
+    RunInfo,
+    cost,
+    read_info,
+    read_settings,
+    runs_below,
+)
 from rejoint.logs.runlog import RunLog, read_parquet
 from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report import tables
@@ -190,6 +200,15 @@ class Contents:
         steps["see later whether it has become worse"] = check_again(self.folder, self.info)
         return steps
 
+    def _known(self) -> tuple[object, ...]:
+        """Options that begin with the calibration of this arm's newest other run that has one."""
+        for other in (RunFolder(file.parent) for file in runs_below(_home(self.folder))):
+            if other.path != self.folder.path and other.calibration.exists():
+                info = read_info(other.info)
+                if (info.robot, info.name, info.arm) == (self.info.robot, self.info.name, self.info.arm):
+                    return "--calibration", other.calibration, "--count", 3
+        return ()
+
     @property
     def trials(self) -> list[object]:
         """Options that name the size of the comparison, and its controllers where not all of the usual."""
@@ -218,10 +237,15 @@ class Contents:
             "diagnose": command("diagnose", *diagnose),
             "identify": command("identify", *identify),
             "train": command("train", run, *recipe, *quick),
-            "calibrate": command("calibrate", robot, run, *gauge),
+            "calibrate": command("calibrate", robot, run, *gauge, *self._known()),
             "compare": command("compare", robot, run, *self.trials),
             "report": command("report", run),
         }
+
+
+def _home(folder: RunFolder) -> Path:
+    """Folder in which an arm's other runs are looked for."""
+    return RUNS if folder.path.is_relative_to(RUNS) else folder.path.parent
 
 
 def described(folder: RunFolder, info: RunInfo) -> tuple[str, ...]:
@@ -234,8 +258,9 @@ def check_again(folder: RunFolder, info: RunInfo) -> str:
     """Command that checks a repaired arm."""
     if info.fleet:
         return command("fleet", "check", info.fleet, "--only", info.name)
-    options = read_settings(folder).options("keep_out", "period")
-    return command("check", info.name or info.robot, *described(folder, info), *options, "--repeat", 5)
+    options, home = read_settings(folder).options("keep_out", "period"), _home(folder)
+    seen = () if home == RUNS else ("--history", home)
+    return command("check", info.name or info.robot, *described(folder, info), *options, *seen, "--repeat", 5)
 
 
 def read_contents(path: Path) -> Contents:

@@ -28,8 +28,9 @@ from rejoint.logs.history import (
     write_rows,
 )
 from rejoint.logs.journal import recover
-from rejoint.runs.history import MOVED, REPAIR, SET_UP, owners, past_of, rows_of
-from rejoint.runs.run import RUNS, staged
+from rejoint.logs.runfolder import RUNS
+from rejoint.runs.history import MOVED, REPAIR, SET_UP, counted, owners, past_of, rows_of
+from rejoint.runs.run import staged
 from rejoint.session.inputs import FIRST_ROBOT, ArmLike, RobotLike, Settings, address_of, arm_of, to_keep
 from rejoint.session.session import Session
 from rejoint.system.errors import LOGGER, InputError
@@ -184,7 +185,8 @@ def check(
             found = outlook(
                 [*visits, PastCheck(time=head.time, measures=measures, used_h=head.used_h)], tolerance, left_mm=left
             )
-            line = say(found, said.repair or command("repair", address, *described, *to_keep(chosen).options()))
+            do = command("repair", address, *described, *to_keep(chosen).options(), *counted(Path(history), head.arm))
+            line = say(found, said.repair or do)
             if begins == SET_UP:  # by mistake as well: another arm under this name, at each check
                 then = mine[-1].model if mine else "another"
                 line = (
