@@ -190,6 +190,15 @@ def test_a_wrong_point_is_named_and_right_ones_are_not():
     assert accused <= 1
 
 
+def test_scatter_tells_the_play_of_a_floating_joint():
+    joint = np.arange(6) == 0
+    found = [
+        fit(ARM, measured(replace(worn(1), play=np.where(joint, play, worn(1).play)), 20)).displacement.play[0]
+        for play in np.radians([0.0, 1.5])
+    ]
+    assert found == pytest.approx(np.radians([0.0, 1.5]), abs=np.radians(0.5))
+
+
 def test_aiming_brings_the_tool_to_the_target():
     found = fitted(0, 10)
     target = ARM.targets.sample(np.random.default_rng(3), (2, 5))

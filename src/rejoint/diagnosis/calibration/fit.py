@@ -15,13 +15,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 from scipy.special import chdtri, ndtr
 
-from rejoint.arms import Arm, Array, Displacement, Mask
+from rejoint.arms import Arm, Array, Displacement, Mask, jacobian
 from rejoint.arms.rotations import difference, inverse, moved, pose_of
 from rejoint.arms.workspace import reach
 from rejoint.diagnosis.calibration.calibration import (
     ANYWHERE,
     ASKEW,
     NOTHING,
+    SCATTER,
     Belief,
     Calibration,
     DisplacementLayout,
@@ -35,6 +36,8 @@ from rejoint.system.errors import InputError
 from rejoint.system.records import entity, taken
 from rejoint.system.stopping import check
 
+LEAST_PLAY = np.radians(0.05)
+"""[rad] from which scatter tells play; chosen"""
 SLIP, MOST_SLIPS = 30.0, 0.25
 """Residual [sigma] of an outlier, and their largest share; chosen"""
 TURNED = np.radians(0.15)
@@ -146,6 +149,17 @@ class ToolProblem:
         limit = np.sqrt(chdtri(np.maximum(self.known.sum(axis=1), 1), _HUBER))
         return whitener, white, np.minimum(1.0, limit / np.maximum(np.linalg.norm(white, axis=1), 1e-12))
 
+    def by_scatter(self, vector: Array) -> tuple[Array, Array]:
+        """Play (n,) [rad] of joints by how much the tool scatters where they float, and its precision (n,)."""
+        whitener, white, weight = self.weighed(vector)
+        shape, turn = self.layout.displacement(vector), np.kron(np.eye(2), self.outside(vector)[0][:3, :3])
+        lever = whitener @ np.where(self.known[..., None], turn.T @ jacobian(self.arm, self.position), 0.0)
+        share = 0.25 * SCATTER * shape.floats(self.arm, self.position)  # of the squared play in the variance
+        size, pull = (lever**2).sum(axis=1), np.einsum("rcj,rc->rj", lever, white) ** 2
+        play = np.maximum(shape.play, LEAST_PLAY)
+        precision = np.maximum(2.0 * play**2 * (weight @ (share * size) ** 2), 1.0)  # Fisher's
+        return play + play * (weight @ (share * (pull - size))) / precision, precision
+
     def uncorrected(self, out: Mask, start: Array) -> Array:
         """Misfit (r, 6) of rows ``out`` by encoders; the others fit what is outside the arm from ``start`` (k,)."""
         own, none = self.belief, self.layout.vector(Displacement.none(self.arm))
@@ -197,6 +211,17 @@ def solve(problem: ToolProblem, start: Array) -> Fitted:
     spread = np.log(np.abs(np.diagonal(whitener, axis1=1, axis2=2))).sum()
     evidence = -cost + spread + 0.5 * (np.linalg.slogdet(belief.precision)[1] - np.linalg.slogdet(curvature)[1])
     return Fitted(vector=vector, covariance=np.asarray(np.linalg.inv(curvature), dtype=float), evidence=float(evidence))
+
+
+def scattered(problem: ToolProblem, fitted: Fitted) -> Fitted:
+    """Learn the play of floating joints from the scatter that a fit has left, by an iterated Kalman filter."""
+    play, spread, vector = problem.layout.at("play"), fitted.covariance, fitted.vector
+    for _ in range(_ROUNDS):
+        seen, precision = problem.by_scatter(vector)
+        gain = spread[:, play] @ np.linalg.inv(spread[play, play] + np.diag(1.0 / precision))
+        vector = fitted.vector + gain @ (seen - fitted.vector[play])
+        vector[play] = np.maximum(vector[play], 0.0)
+    return replace(fitted, vector=vector, covariance=spread - gain @ spread[play])
 
 
 FOLDS = 12
@@ -322,6 +347,7 @@ def likeliest(problem: ToolProblem, beliefs: list[Belief]) -> tuple[ToolProblem,
 def judged(problem: ToolProblem, fitted: Fitted, measured: Measurements, date: str) -> Calibration:
     """Make a calibration of a fit, tested on rows left out; InputError for what no arm is."""
     body, (before, after, surprise) = slice(0, problem.layout.body), leave_out(problem, fitted)
+    fitted = scattered(problem, fitted)
     off = np.quantile(after, 0.8, method="lower")
     if off > ASTRAY * reach(problem.arm) and len(np.unique(measured.posture)) >= FEWEST:
         raise InputError(
