@@ -34,13 +34,12 @@ from rejoint_lab.plant.plant import XPlant
 from rejoint_lab.plant.xseries import COUNTS, CURRENT, EXTENDED, NEW, POSITION, PWM, SHOCK
 
 HEADER = b"\xff\xff\xfd"
-REG_WRITE, ACTION, FACTORY_RESET, REBOOT, CLEAR, STATUS = 4, 5, 6, 8, 0x10, 0x55
+REG_WRITE, ACTION, REBOOT, STATUS = 4, 5, 8, 0x55
 FAST_SYNC_READ, BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x8A, 0x92, 0x93, 0x9A
 FAILED, UNKNOWN, RANGE, LENGTH, LIMIT, ACCESS = 1, 2, 4, 5, 6, 7
 """Numbers of errors"""
 ALERT = 0x80
 _MOST = 1024  # [bytes] of a packet, as ROBOTIS' client takes them
-_CLEAR = b"\x01DXL\x22"
 
 
 def crc(data: bytes) -> bytes:
@@ -163,13 +162,6 @@ class XServo(Registers):
         super().cycle_power()
         self._reset(())
         self["Torque_Enable"], self.registered, self.base = self["Startup_Configuration"] & 1, None, 0
-
-    def restore(self, keep: Iterable[str]) -> None:
-        """Restore what it was sold with, but for the registers ``keep``."""
-        kept = {name: self[name] for name in keep}
-        self._reset(self.fields)
-        self.update(kept)
-        self.save()
 
     def _reset(self, names: Iterable[str]) -> None:
         self.update({name: self.fields[name].default for name in names})
@@ -367,18 +359,9 @@ class XArm(ServoArm[XServo]):
         if code == ACTION:
             waiting, servo.registered = servo.registered, None
             return self._write(servo, False, *waiting) if waiting else 0
-        if code == REBOOT:
-            self.restart(servo)
-        elif code == FACTORY_RESET and data in (b"\xff", b"\x01", b"\x02"):
-            servo.restore(() if data == b"\xff" else ("ID",) if data == b"\x01" else ("ID", "Baud_Rate"))
-            self.restart(servo)
-        elif code == CLEAR and data == _CLEAR:
-            if servo.status["moving"]:
-                return FAILED
-            servo.wrap(self.count(servo))
-            self.settle(servo)
-        else:
+        if code != REBOOT:
             return UNKNOWN
+        self.restart(servo)
         return 0
 
     def _write(self, servo: XServo, shadow: bool, address: int, data: bytes) -> int:

@@ -17,8 +17,6 @@ from rejoint_lab.emulator.dynamixel import (
     ACTION,
     BULK_READ,
     BULK_WRITE,
-    CLEAR,
-    FACTORY_RESET,
     FAST_BULK_READ,
     FAST_SYNC_READ,
     FORMAT,
@@ -43,9 +41,7 @@ GOLDEN = {
     "FF FF FD 00 01 04 00 55 00 A1 0C": Packet(1, STATUS, bytes([0])),
     "FF FF FD 00 01 09 00 04 68 00 C8 00 00 00 AE 8E": Packet(1, REG_WRITE, bytes([104, 0, 200, 0, 0, 0])),
     "FF FF FD 00 01 03 00 05 02 CE": Packet(1, ACTION),
-    "FF FF FD 00 01 04 00 06 01 A1 E6": Packet(1, FACTORY_RESET, b"\1"),
     "FF FF FD 00 01 03 00 08 2F 4E": Packet(1, REBOOT),
-    "FF FF FD 00 01 08 00 10 01 44 58 4C 22 B1 DC": Packet(1, CLEAR, b"\1DXL\x22"),
     "FF FF FD 00 FE 09 00 82 84 00 04 00 01 02 CE FA": Packet(BROADCAST, SYNC_READ, bytes([132, 0, 4, 0, 1, 2])),
     "FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87": Packet(
         BROADCAST, SYNC_WRITE, bytes([116, 0, 4, 0, 1, 150, 0, 0, 0, 2, 170, 0, 0, 0])
@@ -283,7 +279,7 @@ def test_answers_come_in_the_time_of_their_bytes_and_spoil_one_another(bus):
 
 
 MANY = (SYNC_READ, FAST_SYNC_READ, SYNC_WRITE, BULK_READ, FAST_BULK_READ, BULK_WRITE)
-ORDINARY = st.sampled_from([REBOOT, READ, WRITE, REG_WRITE, ACTION, CLEAR, FACTORY_RESET, 0x77, *MANY])
+ORDINARY = st.sampled_from([REBOOT, READ, WRITE, REG_WRITE, ACTION, 0x77, *MANY])
 
 
 @settings(max_examples=300, deadline=None)
@@ -368,7 +364,4 @@ def test_robotis_client_finds_all_that_it_can_ask_for():
         seen = [bulk.getData(servo, *asked[servo % 2]) for servo in on]
         assert seen[1::2] == [120, 50, 50]
         assert packets.write1ByteTxRx(port, 3, 64, 0) == packets.write4ByteTxRx(port, 3, 20, 0) == done
-        assert packets.write1ByteTxRx(port, 3, 11, 4) == packets.clearMultiTurn(port, 3) == done
-        assert packets.factoryReset(port, 3, 2) == done
-        time.sleep(0.5)
-        assert packets.read1ByteTxRx(port, 3, 11) == (3, *done)
+        assert packets.write1ByteTxRx(port, 3, 11, 4) == done
