@@ -41,25 +41,29 @@ PAUSE_PERIODS = 5.0
 
 
 def parted(motion: RecordedMotion, arm: Arm) -> Iterator[RecordedMotion]:
-    """Split at pauses and corrupt numbers; FileError beyond `DAMAGED`."""
+    """Split at pauses, corrupt numbers, and where the clock was set back; FileError beyond `DAMAGED`."""
     notes, bad = list(motion.notes), ~np.isfinite(motion.time)
     for what, values in {"state": motion.position, "command": motion.command}.items():
         if values is not None:
             bad |= _corrupt(motion, what, values, arm)
     good = np.flatnonzero(~bad)
     steps = np.diff(motion.time[good])
-    if not len(steps) or not (steps >= 0).all():
+    back = np.flatnonzero(steps < 0) + 1
+    period = np.median(np.abs(steps)) if len(steps) else 0.0
+    if not len(steps) or (len(back) and min(map(len, np.split(good, back))) * period < PAUSE):
         yield motion.take(good) if len(good) else motion  # what `clean` will say
         return
-    period = np.median(steps)
     far, holes = steps > PAUSE_PERIODS * period, np.diff(good) > 1
     paused = far & (steps > PAUSE)
+    paused |= steps < 0
     pieces = np.split(good, np.flatnonzero(paused | holes) + 1)
     if min(map(len, pieces)) * period < PAUSE:  # holes so close would leave no motion
         pieces = np.split(good, np.flatnonzero(paused | far & holes) + 1)
     kept = [piece for piece in pieces if len(piece) >= FEWEST] or [good]
     cut = f"cut there into {len(kept)} log(s)" if len(kept) > 1 else "left out"
-    if paused.any():
+    if len(back):
+        notes.append(f"state: the clock goes back {len(back)} time(s), first at {motion.where(good[back[0]])}; {cut}")
+    elif paused.any():
         worst = np.argmax(steps)
         notes.append(
             f"state: {paused.sum()} pause(s) longer than {PAUSE:g} s, the longest {steps[worst]:.3g} s before "
