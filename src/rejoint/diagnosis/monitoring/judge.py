@@ -450,7 +450,9 @@ def _advice(found: Outlook, repair: str) -> tuple[str, str]:
         )
     if found.state == "steady":
         due = found.due and found.due.early
-        later = "nothing; check again in a month; behind the encoders a measured point shows more (rejoint calibrate)"
+        later = (
+            "nothing; check again in a month (what changed behind the encoders, only measured points show: calibrate)"
+        )
         if due and due - found.newest < MONTH:
             later = f"nothing yet; check again by {_day(due)}, and make time for a repair"
         what, moved = f"No change since {since} that the encoders see", found.changes[-1].moved_mm
