@@ -49,7 +49,7 @@ class Past(NamedTuple):
 
 def counted(history: Path, arm: str) -> tuple[object, ...]:
     """Options of a repair that counts in a ``history``."""
-    return () if history == Path(RUNS) else ("--run", history / f"{arm}-{utc_now():%Y%m%d}")
+    return () if history == Path(RUNS) else ("--run", history / f"{arm}-{utc_now():%Y%m%dT%H%M}")
 
 
 def rows_of(head: HistoryRow, measures: CheckMeasures, found: Outlook, line: str) -> list[HistoryRow]:

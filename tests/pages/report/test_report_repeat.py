@@ -45,9 +45,10 @@ def test_a_comparison_that_is_to_be_made_needs_no_options(tmp_path, diagnosis, r
     ],
 )
 def test_the_check_after_a_repair_is_of_the_same_arm(tmp_path, diagnosis, named, line):
-    folder = Run.plan(tmp_path, arm=mycobot280(), **{"robot": "emulated:worn"} | named).begin().folder
+    (tmp_path / "checks").mkdir()
+    folder = Run.plan(tmp_path / "run", arm=mycobot280(), **{"robot": "emulated:worn"} | named).begin().folder
     write_json(folder.diagnosis, diagnosis)
     write_json(folder.finished, {})
-    rejoint.report(tmp_path)
-    row = summary_of(tmp_path / SUMMARY)
-    assert (row.arm, what_to_do(row)) == (named.get("name", "mycobot280-emulated-worn"), line.format(tmp_path.parent))
+    rejoint.report(folder.path)
+    row = summary_of(folder.path / SUMMARY)
+    assert (row.arm, what_to_do(row)) == (named.get("name", "mycobot280-emulated-worn"), line.format(tmp_path))

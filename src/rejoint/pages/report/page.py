@@ -4,6 +4,7 @@ A stage that was not run has no content: None.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import fields
 from functools import cached_property, partial
 from pathlib import Path
@@ -27,6 +28,7 @@ from rejoint.diagnosis.calibration.measurements import Measurements, read_measur
 from rejoint.diagnosis.calibration.procedure import reversals
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.segments import modelled_errors
+from rejoint.logs.history import CHECKS
 from rejoint.logs.runfolder import (
     RUNS,
     Effort,
@@ -203,9 +205,10 @@ class Contents:
     def _known(self) -> tuple[object, ...]:
         """Options that begin with the calibration of this arm's newest other run that has one."""
         for other in (RunFolder(file.parent) for file in runs_below(_home(self.folder))):
-            if other.path != self.folder.path and other.calibration.exists():
+            with suppress(FileError):  # of a damaged one
                 info = read_info(other.info)
-                if (info.robot, info.name, info.arm) == (self.info.robot, self.info.name, self.info.arm):
+                alike = (info.robot, info.name, info.arm) == (self.info.robot, self.info.name, self.info.arm)
+                if alike and other.path != self.folder.path and other.calibration.exists():
                     return "--calibration", other.calibration, "--count", 3
         return ()
 
@@ -237,15 +240,15 @@ class Contents:
             "diagnose": command("diagnose", *diagnose),
             "identify": command("identify", *identify),
             "train": command("train", run, *recipe, *quick),
-            "calibrate": command("calibrate", robot, run, *gauge, *self._known()),
+            "calibrate": command("calibrate", robot, run, *gauge, *(self._known() if self.calibration is None else ())),
             "compare": command("compare", robot, run, *self.trials),
             "report": command("report", run),
         }
 
 
 def _home(folder: RunFolder) -> Path:
-    """Folder in which an arm's other runs are looked for."""
-    return RUNS if folder.path.is_relative_to(RUNS) else folder.path.parent
+    """Folder of an arm's history: the one around the run, where that has checks."""
+    return folder.path.parent if (folder.path.parent / CHECKS).is_dir() else RUNS
 
 
 def described(folder: RunFolder, info: RunInfo) -> tuple[str, ...]:
