@@ -19,7 +19,7 @@ from rejoint.cli.options import Call, takes
 from rejoint.control.recording import StageObserver
 from rejoint.diagnosis.calibration.measurements import NOISE, read_measurements
 from rejoint.diagnosis.calibration.procedure import EmulatedGauge, Stop, TouchGauge, TrackerGauge
-from rejoint.logs.history import find_rows, name_of
+from rejoint.logs.history import find_rows, name_of, plain_name
 from rejoint.logs.runfolder import RUNS
 from rejoint.robots import place_of
 from rejoint.runs.fleet.campaign import FleetRules, Verb, run_fleet
@@ -75,6 +75,8 @@ def calibrate(
         job = Run.open(run).seeded(call.settings.seed)
     else:
         job = Run.plan(run, robot, call.arm(robot), call.settings.seed or 0, name=call.named.name)
+    if fresh and call.settings.calibration:
+        raise InputError("--fresh begins without a calibration: leave it or --calibration out")
     settings = replace(call.settings, calibration="none") if fresh else call.settings
     means = Means(frame=frame, unit=unit, sigma=1e-3 * noise, board=board, carried=PLACES[board_on])
     about = {"run": job, "settings": settings}
@@ -256,7 +258,7 @@ def check(
     """See in two and a half minutes whether an arm has become worse, and how long it will still do."""
     chosen, name = call.arm(robot), call.named.name or None if name is None else name
     described = (word for option, value in call.pick._asdict().items() if value for word in (f"--{option}", value))
-    here = counted(history, name or name_of(robot, chosen.name))
+    here = counted(history, plain_name(name) if name else name_of(robot, chosen.name))
     notes = replace(
         notes, repair=command("repair", call.named.name or robot, *described, *to_keep(call.settings).options(), *here)
     )

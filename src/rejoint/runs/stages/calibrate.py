@@ -33,6 +33,7 @@ from rejoint.diagnosis.calibration.procedure import (
     reversals,
     suggest,
 )
+from rejoint.logs.runfolder import RunFolder
 from rejoint.runs.run import Run
 from rejoint.session.context import stance_of, zeros_of
 from rejoint.session.inputs import ArmLike, RobotLike, RunLike, Settings, as_calibration
@@ -58,9 +59,9 @@ def _measured(
     visits: int,
     on_progress: Progress,
     *,
-    fresh: bool,
+    begins: str,
 ) -> tuple[Measurements, Calibration | None]:
-    robot, file = drive.robot, run.folder.measurements if run else None
+    robot, file, fresh = drive.robot, run.folder.measurements if run else None, begins == "none"
     found, session = None, MeasuringSession(plan="", answered=0, fresh=fresh)
     if file and file.exists() and not fresh:
         try:
@@ -78,7 +79,7 @@ def _measured(
                 "rejoint calibrate ROBOT RUN --fresh"
             )
         log_resumed(file, f"{session.answered} of {len(plan.posture)} measurements are done")
-    again = ["--fresh"] * session.fresh
+    again = ["--fresh"] if session.fresh else ["--calibration", begins] if begins else []
     fits = command("calibrate", robot.address, run and run.path, "--measure", f"points={file}", *again)
     with kept(lambda: file if found else None, fresh=session.fresh, more=f", and this ends it with a fit: {fits}"):
         for measured, answered in measure(drive, gauge, plan, found, session.answered, on_progress):
@@ -191,7 +192,8 @@ def calibrate(
         Session(robot, run=run, arm=arm, settings=chosen, observer=observer) as session,
     ):
         about, prior = session.run, as_calibration(chosen.calibration, session.run, session.arm)
-        fresh = chosen.calibration == "none"
+        begins = str(chosen.calibration) if isinstance(chosen.calibration, str | Path) else ""
+        fresh = begins == "none"
         measured: Measurements | Film
         if isinstance(before, Path | str):
             measured = read_measurements(Path(before), session.arm)
@@ -208,9 +210,10 @@ def calibrate(
                         drive, about.folder if about else None, count or by.postures, visits, share, fresh=fresh
                     )
                 else:
-                    measured, prior = _measured(drive, by, about, prior, count or POINTS, visits, share, fresh=fresh)
+                    measured, prior = _measured(drive, by, about, prior, count or POINTS, visits, share, begins=begins)
         update(0.95, "fitting")
-        if known and chosen.calibration is None and about is not None and _repeated(about, measured):
+        beside = RunFolder(Path(begins).parent) if begins else about and about.folder
+        if known and beside and (begins or chosen.calibration is None) and _repeated(beside, session.arm, measured):
             prior = None  # it has seen them
         zeros = zeros_of(session.address or (about.robot if about else ""))
         result = _fitted(session.arm, measured, prior, zeros, taken=about is not None and before is None)
@@ -228,12 +231,12 @@ def calibrate(
         return result
 
 
-def _repeated(run: Run, measured: Measurements | Film) -> bool:
-    """Whether one of these postures is of the measurements on which the run's calibration rests."""
-    file, seen = run.folder.measurements, np.zeros((0, run.arm.joints))
+def _repeated(folder: RunFolder, arm: Arm, measured: Measurements | Film) -> bool:
+    """Whether one of these postures is of the measurements on which a folder's calibration rests."""
+    file, seen = folder.measurements, np.zeros((0, arm.joints))
     with suppress(FileError):
-        if file.exists() and read_interrupted(file, run.arm) is None:
-            seen = read_measurements(file, run.arm).position
+        if file.exists() and read_interrupted(file, arm) is None:
+            seen = read_measurements(file, arm).position
     now = measured.position if isinstance(measured, Measurements) else [shot.position for shot in measured.usable]
     return any((seen == position).all(axis=-1).any() for position in now)
 
