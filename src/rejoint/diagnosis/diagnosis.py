@@ -331,7 +331,7 @@ def _nothing(arm: Arm, measurement: Measurement, rest: Postures, healthy: Health
             known = "Wear shows only beside a healthy arm of this kind, and none is known (--healthy)."
             return f"No joint is seen to be at fault.{_farthest(arm, rest)} {known}"
         return "No joint shows wear that its encoder can see."
-    why = "no joint moves slowly and in both directions for long enough"
+    why = "no joint moves slowly and in both directions for long enough, or as that motion tells"
     if measurement.period_s > COARSEST:
         why = f"readings are {measurement.period_s:.3g} s apart, expected at most {COARSEST:g} s"
     return f"Whether the arm is worn cannot be told: {why}."

@@ -207,7 +207,7 @@ CHANCE = 3.0
 
 LIMITED = 0.97
 """Share of the largest torque that may be a limit; chosen"""
-UNEXPLAINED = 0.5
+UNEXPLAINED = 0.6
 """Share of the effort's variance of no law; chosen: of a joint that is pushed, 0.65"""
 UNEVEN = 1.5
 """Ratio of speeds that tell friction by speed from dry friction; chosen"""

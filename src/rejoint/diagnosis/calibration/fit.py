@@ -156,6 +156,7 @@ class ToolProblem:
         lever = whitener @ np.where(self.known[..., None], turn.T @ jacobian(self.arm, self.position), 0.0)
         share = 0.25 * SCATTER * shape.floats(self.arm, self.position)  # of the squared play in the variance
         size, pull = (lever**2).sum(axis=1), np.einsum("rcj,rc->rj", lever, white) ** 2
+        weight = weight**2 / np.bincount(self.posture)[self.posture]  # an outlier tells little, a posture once
         play = np.maximum(shape.play, LEAST_PLAY)
         precision = np.maximum(2.0 * play**2 * (weight @ (share * size) ** 2), 1.0)  # Fisher's
         return play + play * (weight @ (share * (pull - size))) / precision, precision

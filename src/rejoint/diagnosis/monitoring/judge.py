@@ -345,7 +345,7 @@ def _ranked(drawn: Sequence[Change]) -> tuple[Change, ...]:
     def rank(one: Change) -> tuple[object, ...]:
         alike = [other for other in drawn if (other.state, other.joint, other.better) == (one.state, one.joint, False)]
         most = max((other.moved_mm for other in alike), default=0.0)
-        return order.index(one.state), not one.joint, -most, one.better, one.quantity == "deviation", -one.moved_mm
+        return order.index(one.state), one.better, not one.joint, -most, one.quantity == "deviation", -one.moved_mm
 
     return tuple(sorted(drawn, key=rank))
 
