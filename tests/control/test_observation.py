@@ -1,7 +1,7 @@
 import numpy as np
 
 from rejoint.arms import dls, mycobot280, position_kinematics, tcp_position
-from rejoint.control.controllers.feedforward import CommandLaw
+from rejoint.control.controllers.feedforward import Commander, CommandLaw
 from rejoint.control.controllers.observation import Observer, layout_slots, look
 from standin import inputs_of, state_of
 
@@ -137,6 +137,10 @@ def test_the_homing_motion_leaves_the_tool_in_place_to_first_order():
     assert (np.einsum("bi,bi->b", view.homing, ARM.rest - position) > 0.0).all()
 
 
+def commanded(law, view, position, action):
+    return Commander(ARM, law).commands(inputs(position, position[:, :3], position), view, action)
+
+
 def test_command_law_worked_by_hand():
     law = CommandLaw(authority_floor=float(np.radians(0.12)))
     position = ARM.rest[None]
@@ -144,7 +148,7 @@ def test_command_law_worked_by_hand():
         step=np.radians([[2.0, 0, 0, 0, 0, -1.0]])
     )
     action = np.array([[1.0, -1.0, 0.5, 0.0, 5.0, 0.0]])
-    command = law.command(ARM, view, position, action)
+    command = commanded(law, view, position, action)
     expected = np.array([[0.2 + 1.12, -1.12, 0.56, 0.0, 1.12, -0.1]])
     np.testing.assert_allclose(np.degrees(command - position), expected)
 
@@ -154,6 +158,6 @@ def test_command_law_bounds_step_lead_and_joint_limits():
     law = CommandLaw(step_gain=5.0)
     position = rng.uniform(ARM.lower, ARM.upper, (200, 6))
     view = look(ARM, position, ARM.targets.sample(rng, (200,)), position)
-    command = law.command(ARM, view, position, rng.uniform(-3.0, 3.0, (200, 6)))
+    command = commanded(law, view, position, rng.uniform(-3.0, 3.0, (200, 6)))
     assert (np.abs(command - position) <= law.lead_limit + 1e-12).all()
     assert ((command >= ARM.lower) & (command <= ARM.upper)).all()

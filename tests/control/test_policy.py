@@ -8,7 +8,7 @@ import pytest
 from commandline import python
 from policyfiles import chained, sealed
 from rejoint.arms import mycobot280
-from rejoint.control.controllers.feedforward import CommandLaw
+from rejoint.control.controllers.feedforward import Commander, CommandLaw
 from rejoint.control.controllers.observation import Observer, layout_slots
 from rejoint.control.controllers.policy import (
     check_controller_period,
@@ -70,13 +70,13 @@ def drive(controller, seed, count):
 
 def test_commands_are_observation_network_and_law(policy):
     commands = drive(load_policy(policy, ARM), 1, 4)
-    observer, law, feed = Observer(ARM, 4), CommandLaw(), control_inputs(1, 4)
+    observer, law, feed = Observer(ARM, 4), Commander(ARM, CommandLaw()), control_inputs(1, 4)
     now = next(feed)
     observer.reset(now, np.ones(4, dtype=bool))
     for got in commands[:-1]:
         action = network(observer.observe(now))
         observer.acted(action)
-        expected = law.command(ARM, observer.view, now.state.position, action)
+        expected = law.commands(now, observer.view, action)
         np.testing.assert_allclose(got, expected, atol=1e-7)
         now = feed.send(got)
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import Meta
 
-from rejoint.arms import Arm, Array, Mask, clip_norm, gravity_torque
+from rejoint.arms import Arm, Array, Mask, gravity_torque
 from rejoint.arms.kinematics import task
 from rejoint.arms.workspace import heaviest_load, length_size, moves_tool, torque_size, unloaded_joints
 from rejoint.control.controllers.classical import (
@@ -25,7 +25,6 @@ from rejoint.control.controllers.classical import (
     dls_step,
     fade,
     limit_lead,
-    limit_position,
     null_space,
 )
 from rejoint.control.controllers.observation import View
@@ -264,13 +263,6 @@ class CommandLaw:
         late = (self.decay_start / since_target.clip(self.decay_start)[:, None]) ** self.decay_power
         return late + (1.0 - late) * (largest / self.decay_step).clip(None, 1.0) ** 2
 
-    def command(self, arm: Arm, view: View, position: Array, action: Array) -> Array:
-        """Commands (B, n) [rad] of the anchor ``measured``: ``position`` (B, n) [rad], ``action`` (B, n) in [-1, 1]."""
-        wanted = position + self.step_gain * clip_norm(view.step, self.step_limit)
-        largest = np.amax(abs(view.step), axis=-1, keepdims=True)
-        wanted = wanted + self.authority(largest) * np.clip(action, -1.0, 1.0)
-        return limit_position(arm, limit_lead(wanted, position, self.lead_limit))
-
 
 class Commander(FeedforwardController):
     """Turns actions into commands."""
@@ -287,14 +279,16 @@ class Commander(FeedforwardController):
 
     def commands(self, inputs: ControlInput, view: View, action: Array) -> Array:
         """Commands (B, n) [rad] for actions (B, n) in [-1, 1]."""
-        law, xp = self.law, self.xp
-        if law.anchor == "measured":
-            return law.command(self._arm, view, inputs.state.position, action)
+        law, xp, position = self.law, self.xp, inputs.state.position
         largest = xp.amax(abs(view.step), axis=-1, keepdims=True)
-        near = 1.0 / (1.0 + (view.distance / law.load_penalty_distance) ** 2)
         step = view.step * (law.step_limit / largest.clip(1e-12)).clip(None, 1.0)
+        extra = law.authority(largest) * action.clip(-1.0, 1.0)
+        if law.anchor == "measured":
+            wanted = position + law.step_gain * step + extra
+            return limit_lead(wanted, position, law.lead_limit).clip(*self._limits)
+        near = 1.0 / (1.0 + (view.distance / law.load_penalty_distance) ** 2)
         step = fade(view.error, law.learning.fade) * step * (1.0 - near[:, None] * self.spared)
-        extra = law.authority(largest) * self.moves * action.clip(-1.0, 1.0)
+        extra = extra * self.moves
         if law.decay_start > 0.0:
             factor = xp.where(self.unloaded, law.decayed(inputs.since_target, largest), 1.0)
             step, extra = factor * step, factor * extra
