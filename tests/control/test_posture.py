@@ -15,6 +15,7 @@ from rejoint.control.reference import Reference, ToolAtGoals
 from rejoint.control.robot import Stillness
 from rejoint.control.start import move
 from rejoint.robots import open_robot
+from rejoint.twin.parameters import nominal_parameters
 from rejoint_lab.plant.wear import load_wear
 from standin import inputs_of, state_of
 
@@ -53,8 +54,8 @@ def test_a_worn_arm_comes_to_postures_and_stays():
     rng = np.random.default_rng(7)
     count = 6
     postures = ARM.rest + rng.uniform(-1, 1, (count, 3, 6)) * np.radians([30, 12, 15, 10, 15, 40])
-    stiffness = load_wear("worn", ARM).position_gain
-    controller = PostureController(ARM, stiffness=np.asarray(stiffness))
+    stiffness = np.asarray(load_wear("worn", ARM).position_gain)
+    controller = PostureController(ARM, replace(nominal_parameters(ARM), stiffness=stiffness, offset=np.zeros(6)))
     robot = open_robot("emulated:worn", seed=1, count=count, period=(0.05, 0.05))
     start = move(robot, ARM.rest)
     schedule = Schedule(dwell=3 * DWELL, sent=start.command[-1])
@@ -103,7 +104,7 @@ def told(position, sent, time=0.0):
 def test_it_begins_with_the_command_in_force(offset, monkeypatch):
     sent = ARM.rest[None] + 0.05
     monkeypatch.setattr(posture_control, "PUSH", 0.0)
-    controller = PostureController(ARM, offset=offset)
+    controller = PostureController(ARM, replace(nominal_parameters(ARM), offset=np.full(6, offset)))
     np.testing.assert_allclose(controller.command(told(ARM.rest, sent)), sent, atol=1e-12)
 
 

@@ -545,10 +545,7 @@ class ArmDriver:
         """Return what brings every joint to its goal, by the twin."""
         twin = self.twin_now
         self.announce(PostureController.name, f"for joint positions, {'without a' if twin is None else 'by the'} twin")
-        if twin is None:
-            return PostureController(self.arm, gains=gains)
-        own = twin.parameters
-        return PostureController(self.arm, stiffness=own.stiffness, offset=own.offset, gains=gains)
+        return PostureController(self.arm, None if twin is None else twin.parameters, gains)
 
     # --- the one place where the control loop is called ---------------------------------------
 

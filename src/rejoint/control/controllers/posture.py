@@ -29,7 +29,7 @@ from rejoint.control.controllers.classical import limit_lead, limit_position
 from rejoint.control.controllers.feedforward import TAKEN_BACK, FeedforwardController, FeedforwardGains
 from rejoint.control.correction import tool_error
 from rejoint.control.reference import Reference, pace
-from rejoint.control.robot import ControlInput, Stillness
+from rejoint.control.robot import ControlInput, Servos, Stillness
 from rejoint.system.errors import InputError
 from rejoint.system.records import value_type
 
@@ -67,17 +67,10 @@ class PostureController(FeedforwardController):
     name = "posture"
     heeds_turn = False
 
-    def __init__(
-        self,
-        arm: Arm,
-        *,
-        stiffness: Array | None = None,
-        offset: Array | float = 0.0,
-        gains: PostureGains | None = None,
-    ) -> None:
-        """``stiffness`` (n,) [N m/rad] and ``offset`` (n,) [rad] of the twin."""
-        super().__init__(arm, stiffness, FeedforwardGains(moving=MOVING))
-        self._settings, self._offset = gains or PostureGains(), offset
+    def __init__(self, arm: Arm, servos: Servos | None = None, gains: PostureGains | None = None) -> None:
+        """Take the ``servos`` (n,) of the twin."""
+        super().__init__(arm, None if servos is None else servos.stiffness, FeedforwardGains(moving=MOVING))
+        self._settings, self._offset = gains or PostureGains(), 0.0 if servos is None else servos.offset
         self._still = Stillness(COUNTS * arm.encoder_step)
 
     def reset(self, inputs: ControlInput, where: Mask) -> None:
