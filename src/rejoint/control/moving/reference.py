@@ -523,6 +523,4 @@ class PathReference(Reference):
         columns = zip(self._guides, now, later.T, strict=True)
         places, turns = zip(*(guide.ahead(float(time), column) for guide, time, column in columns), strict=True)
         known = [turn for turn in turns if turn is not None]
-        if 0 < len(known) < self.count:
-            raise InputError("paths: some have orientations and others none; follow them one after the other")
         return np.stack(places, axis=1), stacked(known, axis=1) if known else None
