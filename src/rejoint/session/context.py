@@ -227,7 +227,7 @@ class ControllerMaker:
     @property
     def usual(self) -> float:
         """Middle of the control periods [s]; NaN: not known yet."""
-        return float("nan") if self.period is None else sum(self.period) / 2
+        return np.nan if self.period is None else sum(self.period) / 2
 
     @property
     def suits_shelf(self) -> bool:

@@ -125,53 +125,49 @@ def to_targets(session: Session, targets: Targets | None) -> Callable[[ArmMotion
         target, share = int(cycle.target_index[0]), float(cycle.since_target[0]) / job.dwell
         session.progress((target + min(share, 1.0)) / len(points[0]), f"target {target + 1} of {len(points[0])}")
 
-    def drive(motion: ArmMotion, eye: Eye | None) -> Deployed:
-        correction, seen, driver = session.correction, None, controller
-        session.begin("deploy", name, controller)
-        if eye is not None:
-            seen = Seen(arm, session.apparent.displacement, eye=eye)
-            driver, correction = Finishing(arm, controller, seen), seen
-        reference = TargetSequence(arm, points, ways=[ways], turns=turned, correction=correction)
-
-        def judged(recording: Recording, *, ended: bool) -> Deployed:
-            sightings, far = ((), None) if seen is None else (seen.visits, seen.shifted())
-            if far is not None:
-                LOGGER.warning(
-                    "the camera sees the tool %.1f mm to one side of where the calibration has it, at all targets "
-                    "alike: were camera or board moved? Then calibrate with the camera again; "
-                    "the arm went where it says",
-                    1e3 * far,
-                )
-            return judge_targets(
-                arm,
-                recording,
-                job,
-                session.calibration,
-                overloaded=session.overloaded,
-                sightings=sightings,
-                ended=ended,
-            )
-
-        try:
-            recording = session.drive(driver, Schedule(dwell=job.dwell, give_up=motion.give_up), reference, watch)
-        except BaseException as error:
-            so_far = recording_of(error)
-            if so_far is not None and np.isfinite(so_far.target).any():
-                session.observer.partial(judged(so_far, ended=True))
-            raise
-        found = judged(recording, ended=motion.ended.is_set())
-        asked = {"orientations": "; ".join(visit.orientation for visit in found.visits)} if turns else None
-        found = replace(found, log=recording.log(0, f"deploy/{name}", asked))
-        with saving(found):
-            session.recorder.end(extra=asked)
-        session.progress(1.0, "done")
-        return found
-
     def work(motion: ArmMotion) -> Deployed:
         with opened_eye(settings.eye, session.robot, session.run, session.seed) as eye:
-            done = drive(motion, eye)
-        session.say_noticed(done.log)
-        return done
+            correction, seen, driver = session.correction, None, controller
+            session.begin("deploy", name, controller)
+            if eye is not None:
+                seen = Seen(arm, session.apparent.displacement, eye=eye)
+                driver, correction = Finishing(arm, controller, seen), seen
+            reference = TargetSequence(arm, points, ways=[ways], turns=turned, correction=correction)
+
+            def judged(recording: Recording, *, ended: bool) -> Deployed:
+                sightings, far = ((), None) if seen is None else (seen.visits, seen.shifted())
+                if far is not None:
+                    LOGGER.warning(
+                        "the camera sees the tool %.1f mm to one side of where the calibration has it, at all targets "
+                        "alike: were camera or board moved? Then calibrate with the camera again; "
+                        "the arm went where it says",
+                        1e3 * far,
+                    )
+                return judge_targets(
+                    arm,
+                    recording,
+                    job,
+                    session.calibration,
+                    overloaded=session.overloaded,
+                    sightings=sightings,
+                    ended=ended,
+                )
+
+            try:
+                recording = session.drive(driver, Schedule(dwell=job.dwell, give_up=motion.give_up), reference, watch)
+            except BaseException as error:
+                so_far = recording_of(error)
+                if so_far is not None and np.isfinite(so_far.target).any():
+                    session.observer.partial(judged(so_far, ended=True))
+                raise
+            found = judged(recording, ended=motion.ended.is_set())
+            asked = {"orientations": "; ".join(visit.orientation for visit in found.visits)} if turns else None
+            found = replace(found, log=recording.log(0, f"deploy/{name}", asked))
+            with saving(found):
+                session.recorder.end(extra=asked)
+            session.progress(1.0, "done")
+        session.say_noticed(found.log)
+        return found
 
     return work
 
