@@ -54,7 +54,7 @@ def metrics_of(
     """
     shape = targets.shape[:2]
     hold, cross = "hold" in kinds, "crossing" in kinds
-    names = (*(CROSSING if cross else ()), *((*HOLDING, *protocol.stay_names) if hold else ()))
+    names = CROSSING * cross + (HOLDING + protocol.stay_names) * hold
     columns = {name: np.full(shape, np.nan) for name in names}
     if hold:
         columns["held"][:] = 1.0

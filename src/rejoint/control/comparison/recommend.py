@@ -64,8 +64,8 @@ def recommend(comparison: Comparison) -> Recommendation:
         decided += [_beaten(criterion, best, row) for row in left if row not in tied]
         left = tied
     chosen = min(left, key=_by_complexity)
-    others = [row for row in left if row is not chosen]
-    why = [*all_stopped, achieves(chosen, comparison), *_tied(chosen, others, comparison)]
+    others = tuple(row.controller for row in left if row is not chosen)
+    why = [*all_stopped, achieves(chosen, comparison), *_tied(chosen.controller, others, comparison)]
     why += (*reversed(decided), *comparison.left_out)
     why += [f"Error of the tool itself, with play and bending behind the encoders: {chosen.true_error}."]
     if inner_name(chosen.controller) != chosen.controller:
@@ -73,7 +73,7 @@ def recommend(comparison: Comparison) -> Recommendation:
             f"{chosen.controller} needs other gains in the servos: each drive sets them and takes them back. "
             "An SO-101 keeps them after `rejoint gains --keep`."
         )
-    return Recommendation(controller=chosen.controller, why=tuple(why), tied=tuple(row.controller for row in others))
+    return Recommendation(controller=chosen.controller, why=tuple(why), tied=others)
 
 
 def difference(comparison: Comparison, first: str, second: str) -> Estimate | None:
@@ -84,11 +84,11 @@ def difference(comparison: Comparison, first: str, second: str) -> Estimate | No
 
 def _criteria(comparison: Comparison) -> Iterator[_Criterion]:
     protocol = comparison.protocol
-    narrow, *wider = map(int, np.argsort(protocol.within))
+    order = np.argsort(protocol.within).tolist()
 
     def results(metric: str, missing: float = np.nan) -> dict[str, Array]:
-        arrays = {name: comparison.array(metric, name).ravel() for name in comparison.controllers}
-        return {name: np.where(np.isnan(array), missing, array) for name, array in arrays.items()}
+        names = comparison.controllers
+        return {name: np.nan_to_num(comparison.array(metric, name).ravel(), nan=missing) for name in names}
 
     yield _Criterion(
         name="of the targets missed",
@@ -98,7 +98,7 @@ def _criteria(comparison: Comparison) -> Iterator[_Criterion]:
         plain=0.0,
     )
     yield _Criterion(
-        name="settled error", results=results("settled"), unit="{:.2f} mm", factor=1e3, plain=protocol.within[narrow]
+        name="settled error", results=results("settled"), unit="{:.2f} mm", factor=1e3, plain=min(protocol.within)
     )
     if comparison.orientations:
         rows = np.broadcast_to(np.array(comparison.orientations)[:, None] != "", comparison.shape).ravel()
@@ -109,12 +109,12 @@ def _criteria(comparison: Comparison) -> Iterator[_Criterion]:
             factor=np.degrees(1.0),
             plain=np.radians(1.0),
         )
-    for within in (narrow, *wider):
+    for within in order:
         yield _Criterion(
             name=f"on average to stay within {1e3 * protocol.within[within]:g} mm (a miss as {protocol.hold:g} s)",
             results=results(protocol.stay_names[within], protocol.hold),
             unit="{:.2f} s",
-            matters=0.0 if within == narrow else SOONER,
+            matters=0.0 if within == order[0] else SOONER,
         )
 
 
@@ -124,9 +124,11 @@ def _tie(criterion: _Criterion, best: ControllerRow, row: ControllerRow, shape: 
     if lost:  # holds that the guard cut short: no number stands for them
         return lost < 0
     estimate = paired_difference(theirs, ours, cluster(shape)[1])
-    if estimate is not None and estimate.low is None:
+    if estimate is None:
+        return True
+    if estimate.low is None:
         return estimate.value <= criterion.plain
-    return estimate is None or not above_zero(estimate) or estimate.value <= criterion.matters
+    return not above_zero(estimate) or estimate.value <= criterion.matters
 
 
 def _beaten(criterion: _Criterion, best: ControllerRow, row: ControllerRow) -> str:
@@ -139,14 +141,13 @@ def _beaten(criterion: _Criterion, best: ControllerRow, row: ControllerRow) -> s
     return f"{short} {failure(row)}" if row.failures else short
 
 
-def _tied(chosen: ControllerRow, others: list[ControllerRow], comparison: Comparison) -> list[str]:
+def _tied(chosen: str, others: tuple[str, ...], comparison: Comparison) -> list[str]:
     if not others:
         return []
-    names = [chosen.controller, *(row.controller for row in others)]
     few = len(np.unique(cluster(comparison.shape)[1])) < FEWEST_CLUSTERS
     why = "too few trials to tell them apart" if few else "no measurable difference"
-    listed = f"{', '.join(names[:-1])} and {names[-1]}"
-    return [f"A tie of {listed}: {why}. {names[0]} is recommended because it is simpler."]
+    listed = f"{', '.join((chosen, *others[:-1]))} and {others[-1]}"
+    return [f"A tie of {listed}: {why}. {chosen} is recommended because it is simpler."]
 
 
 def achieves(row: ControllerRow, comparison: Comparison) -> str:
