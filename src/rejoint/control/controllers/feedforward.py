@@ -254,15 +254,6 @@ class CommandLaw:
     envelope_margin: Constant = float(np.radians(35.0))
     """[rad] from the goal posture (anchor ``goal``; chosen)"""
 
-    def authority(self, largest: Array) -> Array:
-        """Return authority (B, 1) [rad] at steps whose ``largest`` elements are (B, 1) [rad]."""
-        return (self.authority_floor + self.authority_slope * largest).clip(None, self.authority_limit)
-
-    def decayed(self, since_target: Array, largest: Array) -> Array:
-        """Factor (B, 1) on corrections of unloaded joints, (B,) [s] after the target, at steps as for `authority`."""
-        late = (self.decay_start / since_target.clip(self.decay_start)[:, None]) ** self.decay_power
-        return late + (1.0 - late) * (largest / self.decay_step).clip(None, 1.0) ** 2
-
 
 class Commander(FeedforwardController):
     """Turns actions into commands."""
@@ -282,7 +273,8 @@ class Commander(FeedforwardController):
         law, xp, position = self.law, self.xp, inputs.state.position
         largest = xp.amax(abs(view.step), axis=-1, keepdims=True)
         step = view.step * (law.step_limit / largest.clip(1e-12)).clip(None, 1.0)
-        extra = law.authority(largest) * action.clip(-1.0, 1.0)
+        authority = (law.authority_floor + law.authority_slope * largest).clip(None, law.authority_limit)
+        extra = authority * action.clip(-1.0, 1.0)
         if law.anchor == "measured":
             wanted = position + law.step_gain * step + extra
             return limit_lead(wanted, position, law.lead_limit).clip(*self._limits)
@@ -290,7 +282,9 @@ class Commander(FeedforwardController):
         step = fade(view.error, law.learning.fade) * step * (1.0 - near[:, None] * self.spared)
         extra = extra * self.moves
         if law.decay_start > 0.0:
-            factor = xp.where(self.unloaded, law.decayed(inputs.since_target, largest), 1.0)
+            late = (law.decay_start / inputs.since_target.clip(law.decay_start)[:, None]) ** law.decay_power
+            decayed = late + (1.0 - late) * (largest / law.decay_step).clip(None, 1.0) ** 2
+            factor = xp.where(self.unloaded, decayed, 1.0)
             step, extra = factor * step, factor * extra
         extra = xp.where(self.on_the_way(inputs)[:, None], 0.0, extra)  # the law knows the way
         extra = extra + self.loosening(inputs, view.step, view.distance)
