@@ -57,9 +57,9 @@ def test_the_observer_finds_a_constant_push_and_foresees_what_was_sent():
         time = time + period
         observer.see(time, np.full(1, period), push)
     assert np.allclose(observer.push, push, atol=2e-4)
-    assert np.allclose(observer.soon(time)[0], push, atol=2e-4)
+    assert np.allclose(observer.after(time, servos.delay)[0], push, atol=2e-4)
     observer.sent(time - 0.02, -push)  # takes it away: the joint begins to move home
-    later = observer.soon(time)[0]
+    later = observer.after(time, servos.delay)[0]
     assert (np.abs(later[np.abs(push) > 0.01]) < np.abs(push[np.abs(push) > 0.01])).all()
 
 

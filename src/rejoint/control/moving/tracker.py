@@ -136,16 +136,13 @@ class PushObserver:
     def see(self, time: Array, elapsed: Array, away: Array) -> None:
         """Take deviations ``away`` (B, n) [rad] at ``time`` (B,) [s], ``elapsed`` (B,) [s] after the last."""
         fresh = (elapsed > 0.0)[:, None]
-        place, speed = self._pass(time - elapsed, elapsed)
+        place, speed = self.after(time - elapsed, elapsed)
         missed = np.where(fresh, away - place, 0.0)
         self.away, self.speed = place + self._gain[..., 0] * missed, speed + self._gain[..., 1] * missed
         self.push = self.push + self._gain[..., 2] * missed
 
-    def soon(self, time: Array) -> tuple[Array, Array]:
-        """Deviation and speed (B, n) when a command of ``time`` (B,) [s] takes effect."""
-        return self._pass(time, self._servos.delay)
-
-    def _pass(self, start: Array, span: Array) -> tuple[Array, Array]:
+    def after(self, start: Array, span: Array) -> tuple[Array, Array]:
+        """Deviation and speed (B, n), a ``span`` (B,) [s] after ``start`` (B,) [s]."""
         servos, step = self._servos, (span / _PARTS)[:, None]
         pull = step * servos.stiffness / self.mass
         brake = 1.0 / (1.0 + step * servos.damping / self.mass)
@@ -213,7 +210,7 @@ class Tracker:
         position, planned = inputs.state.position, inputs.goal
         shift = self._relieve(position, planned, elapsed)
         observer.see(now, elapsed, position - planned - shift)
-        away, speed = observer.soon(now)
+        away, speed = observer.after(now, self._servos.delay)  # when this command takes effect
         ahead = self._servos.delay + 0.5 * self._period + EARLY
         around = inputs.goals(ahead + STEP * np.arange(-1.0, 2.0)[:, None]) + shift
         self._wanted, self._last = command_for(self._arm, self._servos, around), now
