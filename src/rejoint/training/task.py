@@ -177,7 +177,11 @@ class ReachTask:
         cut = (late | collided) & ~reached
         observation, privileged = final, final_privileged
         if (ended := reached | cut).any():
-            self._renew(ended, collided)
+            self._count[ended] += 1
+            exchanged = ended & ((self._count >= s.targets) | collided)  # they have had all
+            if exchanged.any():
+                self._new_arms(exchanged)
+            self._new_targets(ended)
             observation, privileged = self._observe(np.where(ended, 0.0, speed))
         return Transition(observation, privileged, final, final_privileged, reward, reached, cut, collided, distance)
 
@@ -207,14 +211,6 @@ class ReachTask:
         state = JointState(time=now.time, position=now.measured, age=np.zeros(self.agents))
         since = np.maximum(self._since - self._travel, 0.0)
         return ControlInput(state=state, target=target, goal=goal, sent=self._sent, since_target=since)
-
-    def _renew(self, ended: Mask, collided: Mask) -> None:
-        """Give new targets to the arms in ``ended`` (N,), and exchange those that have had all, or ``collided``."""
-        self._count[ended] += 1
-        exchanged = ended & ((self._count >= self.settings.targets) | collided)
-        if exchanged.any():
-            self._new_arms(exchanged)
-        self._new_targets(ended)
 
     def _new_targets(self, where: Mask) -> None:
         """Draw targets for the arms in ``where`` (N,): anywhere, or in the region near the posture of the last."""
