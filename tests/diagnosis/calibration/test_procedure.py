@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import rejoint
-from rejoint.arms import mycobot280, tcp_position
+from madetwin import made_calibration
+from rejoint.arms import Displacement, mycobot280, tcp_position
 from rejoint.diagnosis.calibration.measurements import Measurements, read_measurements
 from rejoint.diagnosis.calibration.procedure import (
     BEFORE,
@@ -100,7 +101,7 @@ def test_reversal_is_the_difference_of_two_sides_that_the_encoders_do_not_see():
         posture=[4, 4, 5],
         frame="room",
     )
-    assert reversals(ARM, measured, turned) == pytest.approx((3e-3,))
+    assert reversals(made_calibration(ARM, Displacement.none(ARM), frame=turned), measured) == pytest.approx((3e-3,))
 
 
 def test_a_calibrated_arm_hits_what_it_missed(tmp_path):

@@ -52,14 +52,13 @@ class Measurements(Readable):
     """``touch``, ``camera`` or ``tracker``"""
 
     def __post_init__(self) -> None:
-        for name in ROWS:
-            kind = np.int64 if name == "posture" else np.float64
-            object.__setattr__(self, name, np.array(getattr(self, name), dtype=kind))
         rows = len(self.position)
-        shapes = {"point": (rows, 3), "sigma": (rows,), "posture": (rows,)}
+        shapes = {"position": np.shape(self.position), "point": (rows, 3), "sigma": (rows,), "posture": (rows,)}
         for name, shape in shapes.items():
-            if getattr(self, name).shape != shape:
-                raise InputError(f"measurements: {name} has shape {getattr(self, name).shape}, expected {shape}")
+            array = np.array(getattr(self, name), dtype=np.int64 if name == "posture" else np.float64)
+            if array.shape != shape:
+                raise InputError(f"measurements: {name} has shape {array.shape}, expected {shape}")
+            object.__setattr__(self, name, array)
         if np.isinf(self.point).any() or not (np.isfinite(self.point).any(axis=1)).all():
             raise InputError("measurements: every row needs at least one coordinate of the tool, in metres")
         if not np.isfinite(self.position).all() or not (self.sigma > 0.0).all():

@@ -8,8 +8,9 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -260,10 +261,10 @@ class EmulatedGauge:
     seed: int
     source: str = "emulated"
     frame: str = "base"
-    _rng: np.random.Generator = field(init=False)
 
-    def __post_init__(self) -> None:
-        self._rng = np.random.default_rng([self.seed, 13])
+    @cached_property
+    def _rng(self) -> np.random.Generator:
+        return np.random.default_rng([self.seed, 13])
 
     def measure(self, robot: Robot, stop: Stop) -> Array:  # noqa: ARG002 - it knows by itself
         """Return true tool (3,) [m] plus noise."""
@@ -513,12 +514,14 @@ def _gone(robot: Robot, position: Array) -> str:
     return told if away[j] > MOVED else ""
 
 
-def reversals(arm: Arm, measured: Measurements, frame: Array) -> tuple[float, ...]:
-    """Reversal values [m] at the tool (ISO 230-2) of postures with two approaches, less the encoders' part.
+def in_base(found: Calibration, measured: Measurements) -> Array:
+    """Measured points (M, 3) [m] in the base frame; NaN: not measured."""
+    return measured.point @ found.frame[:3, :3].T + found.frame[:3, 3]
 
-    ``frame`` (4, 4): measuring frame in the base.
-    """
-    away = measured.point @ frame[:3, :3].T + frame[:3, 3] - tcp_position(arm, measured.position)
+
+def reversals(found: Calibration, measured: Measurements) -> tuple[float, ...]:
+    """Reversal values [m] at the tool (ISO 230-2) of postures with two approaches, less the encoders' part."""
+    away = in_base(found, measured) - tcp_position(found.arm, measured.position)
     pairs = [away[measured.posture == number] for number in np.unique(measured.posture)]
     whole = [both for both in pairs if len(both) == 2 and np.isfinite(both).all()]
     return tuple(float(reversal(both[:1], both[1:])) for both in whole)

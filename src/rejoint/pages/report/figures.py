@@ -22,6 +22,7 @@ from rejoint.control.moving.drive import Followed
 from rejoint.control.moving.reference import LEAD_IN
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.measurements import Measurements
+from rejoint.diagnosis.calibration.procedure import in_base
 from rejoint.logs.runfolder import RunFolder
 from rejoint.logs.runlog import RunLog
 from rejoint.pages.html import INK, LOOKS, Look, look_of
@@ -265,11 +266,6 @@ class Gallery:
         figure = curves(panels, found.step / 1e6, "environment steps [million]", (WIDE, 4.55), rows=True)
         words = f"Reward, success rate and error over {cycles(found.step[-1])}; at the end: {found.outcome}."
         return self.show("training", figure, alt=words)
-
-
-def in_base(found: Calibration, measured: Measurements) -> Array:
-    """Measured points (M, 3) [m] in the base frame; NaN: not measured."""
-    return measured.point @ found.frame[:3, :3].T + found.frame[:3, 3]
 
 
 def arrows(seen: Array, way: Array, wrong: Mask) -> Figure:

@@ -25,7 +25,7 @@ from rejoint.control.servogains import own_policy
 from rejoint.diagnosis.calibration import calibration, fit
 from rejoint.diagnosis.calibration.calibration import Calibration, read_calibration
 from rejoint.diagnosis.calibration.measurements import Measurements, read_measurements
-from rejoint.diagnosis.calibration.procedure import reversals
+from rejoint.diagnosis.calibration.procedure import in_base, reversals
 from rejoint.diagnosis.diagnosis import Diagnosis
 from rejoint.diagnosis.segments import modelled_errors
 from rejoint.logs.history import CHECKS
@@ -43,7 +43,7 @@ from rejoint.logs.runfolder import (
 from rejoint.logs.runlog import RunLog, read_parquet
 from rejoint.pages.html import colour_number, render, write_page
 from rejoint.pages.report import tables
-from rejoint.pages.report.figures import Gallery, in_base
+from rejoint.pages.report.figures import Gallery
 from rejoint.pages.words import number
 from rejoint.robots import DEFAULT_ARM, is_virtual
 from rejoint.system.errors import FileError, InputError
@@ -333,5 +333,5 @@ def write_datasheet(folder: Path, out: Path) -> Path:
     it = read_contents(folder)
     measured, back = it.measurements, np.zeros(0)
     if it.calibration is not None and measured is not None:
-        back = np.array(reversals(it.arm, measured, it.calibration.frame))
+        back = np.array(reversals(it.calibration, measured))
     return write_page(out, "datasheet.html", it=it, reversal=spread(back, np.arange(len(back))), **_NAMES)

@@ -259,6 +259,6 @@ def _fitted(
     return Calibrated(
         calibration=replace(found, zeros=zeros),
         measurements=measured,
-        reversal=reversals(arm, measured, found.frame),
+        reversal=reversals(found, measured),
         filmed=filmed,
     )
