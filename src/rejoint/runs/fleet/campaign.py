@@ -99,8 +99,8 @@ def do_work(work: Work) -> WorkOutcome:
         else:
             run = Run.plan(work.folder, arm.address, arm.built, **work.new)
             repair(arm.address, run=run, only=work.step, **work.options)
-    except Interrupted as error:
-        outcome = WorkOutcome(problem=HELD, code=error.exit_code)
+    except Interrupted:
+        outcome = WorkOutcome(problem=HELD, code=ROBOT)
     except Exception as error:  # noqa: BLE001 - a bug in one arm's work is no end of the others'
         text, _, code, trace = failure_of(error)
         outcome = WorkOutcome(problem="; ".join((text, *getattr(error, "__notes__", ()))), code=code, trace=trace)
@@ -303,8 +303,7 @@ class Campaign:
             return
         one.left, one.trace = self.left(one.arm), outcome.trace
         if problem:
-            one.why = f"{step}: {problem}"
-            one.code = outcome.code if outcome.code in _ORDER else ROBOT  # held, since the call had ended
+            one.why, one.code = f"{step}: {problem}", outcome.code
         elif step in one.left[:1]:
             one.why = f"{step} ended, but left no file in {work.folder}: can all computers reach that folder?"
             one.code = ROBOT
