@@ -47,10 +47,8 @@ def test_zeros_that_were_moved_are_no_wear(checks):
     assert found.due is None
     line = say(found, "ROBOT")
     assert "joint2 by 1.2 deg, joint3 by 0.8 deg, which is no wear" in line
-    assert "--moved --repeat 5;" in line
     later = judged(*[healthy] * 6, *[moved] * 3)  # by then the charts call out as well
     assert later.state == "alarm"
-    assert say(later, "ROBOT").startswith("Zeros moved between")
 
 
 def test_one_odd_check_is_no_moved_arm(checks):

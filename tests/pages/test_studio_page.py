@@ -105,6 +105,7 @@ def test_the_stop_button_stays_in_sight_whatever_is_scrolled_or_folded(studio, w
         hand = Hand(tab)
         hand.open(view.address)
         hand.reads("Connect")
+        hand.reads("rejoint studio")
         hand.touch(tab.ask(f"{title}.x + 5"), tab.ask(f"{title}.y + 5"))  # folds a panel of viser
         hand.touch(width - 13, 7)  # so does this
         hand.touch(width - 26, tab.ask(f"{title}.y + 10"))  # its settings would come in place of the panel
