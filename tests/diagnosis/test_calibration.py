@@ -193,7 +193,7 @@ def test_a_wrong_point_is_named_and_right_ones_are_not():
 def test_scatter_tells_the_play_of_a_floating_joint():
     for play in np.radians([0.1, 1.5]):
         found = fit(ARM, measured(replace(worn(1), play=play * np.ones(6)), 20))
-        assert found.displacement.play[0] == pytest.approx(play, abs=np.radians(0.5))
+        assert abs(found.displacement.play[0] - play) < 0.008
 
 
 def test_aiming_brings_the_tool_to_the_target():
