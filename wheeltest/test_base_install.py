@@ -124,7 +124,7 @@ def test_it_judges_and_converts_logs(base: Base, complete: RunFolder) -> None:
         ("compare emulated:worn {run}", "train"),
         ("diagnose {arm} --arm arm.urdf", "train"),
         ("export {run}/logs/excitation.parquet log.mcap", "logs"),
-        ("import log.mcap new", "logs"),
+        ("import log.mcap new --arm koch", "logs"),
         ("deploy {arm} {run} --live", "live"),
     ],
 )
