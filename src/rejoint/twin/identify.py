@@ -13,7 +13,7 @@ from itertools import compress
 import numpy as np
 
 from rejoint.arms import Arm, Array, Index, Mask, gravity_torque, tcp_position
-from rejoint.control.correction import tool_error
+from rejoint.control.correction import rms, tool_error
 from rejoint.diagnosis.measurement import sag_doubt
 from rejoint.diagnosis.segments import ExcitationLog, join_logs
 from rejoint.logs.columns import ZEROS
@@ -74,7 +74,7 @@ from rejoint.twin.structure import (
     with_both,
     with_limit,
 )
-from rejoint.twin.twin import NO_TWIN, HeldOut, Judgement, PredictionError, TablePlane, Twin, prediction_error
+from rejoint.twin.twin import NO_TWIN, HeldOut, Judgement, PredictionError, TablePlane, Twin
 
 FITTED, HEALTHY = "fitted twin", "healthy twin"
 """Predictions besides `NO_TWIN`"""
@@ -186,7 +186,11 @@ def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
     arm, measured = replay.arm, replay.measured
     both = np.vstack([vector, *([pack(healthy_parameters(arm))] if is_hobby(arm) else [])])
     predicted = [replay.commands, *replay.predict(unpack(both))]
-    no_twin, twin, *healthy = (prediction_error(arm, positions, measured) for positions in predicted)
+    tip = tcp_position(arm, measured)
+    no_twin, twin, *healthy = (
+        PredictionError(joint=rms(positions - measured), tcp=rms(tool_error(arm, positions, tip)))
+        for positions in predicted
+    )
     return HeldOut(seconds=replay.seconds, no_twin=no_twin, healthy_twin=healthy[0] if healthy else None, twin=twin)
 
 

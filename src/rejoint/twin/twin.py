@@ -11,8 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from rejoint.arms import Arm, Array, Mask, tcp_position
-from rejoint.control.correction import rms, tool_error
+from rejoint.arms import Arm, Array, Mask
 from rejoint.system.errors import ContractError, InputError
 from rejoint.system.files import Number, Positive, array_of, digest, read_sealed, toml_of, write_sealed
 from rejoint.system.records import Readable, entity, value_type
@@ -80,12 +79,6 @@ class Judgement(Readable):
     """over motions with equal weight, by prediction"""
     doubts: tuple[str, ...] = ()
     """why no prediction is trusted (`rejoint.twin.judge`)"""
-
-
-def prediction_error(arm: Arm, predicted: Array, measured: Array) -> PredictionError:
-    """Compare positions (T, n) [rad]."""
-    tcp = rms(tool_error(arm, predicted, tcp_position(arm, measured)))
-    return PredictionError(joint=rms(predicted - measured), tcp=tcp)
 
 
 def smaller(ours: Array, theirs: Array) -> bool:
