@@ -10,7 +10,7 @@ from rejoint.diagnosis.excitation import record
 from rejoint.robots import open_robot
 from rejoint.twin.fit import Problem, fit, limiting
 from rejoint.twin.identify import identify
-from rejoint.twin.parameters import Layout, number, pack, prior
+from rejoint.twin.parameters import number, pack, prior
 from rejoint.twin.replay import Replay, cut
 
 
@@ -53,7 +53,7 @@ def test_drawn_twins_have_the_covariance_and_keep_the_bounds(twin, monkeypatch):
 def test_block_jacobian_is_the_slope_of_each_joints_own_prediction(arm, truth, log):
     problem = Problem(Replay(arm, cut([log], 6.0)), prior(arm))
     problem.steps[:] *= 0.2  # so that the finite difference itself is small beside what is compared
-    x, up = pack(truth), np.ones(Layout(arm.joints).size)
+    x, up = pack(truth), np.ones(len(pack(truth)))
     base = problem.residuals(x[None])[0]
     jacobian = problem.jacobian(base, problem.residuals(problem.perturbations(x, up)), up)
     tried = ((0, "stiffness"), (1, "stiffness"), (2, "coulomb"), (4, "damping"), (3, "offset"))

@@ -41,7 +41,7 @@ def test_cost_of_a_joint_is_that_of_moving_it_alone():
     log = RunLog.of(time, path, path, arm=arm)
     problem = Problem(Replay(arm, cut([log], 3.0), 0.01), unknown_prior(arm))
     rng, layout = np.random.default_rng(0), Layout(5)
-    base = problem.prior.mean + 0.3 * problem.prior.sigma * rng.standard_normal(layout.size)
+    base = problem.prior.mean + 0.3 * problem.prior.sigma * rng.standard_normal(len(layout.kind))
     moved, residuals = np.tile(base, (2, 1)), 1e-3 * rng.standard_normal((2, len(time), 5))
     own = layout.owner == 1
     moved[1, own] += 0.2 * rng.standard_normal(own.sum())

@@ -8,19 +8,19 @@ from motion_logs import ARM, TRUTH, centre_of, record, wandering
 
 from rejoint.arms import gravity_torque
 from rejoint.diagnosis.diagnosis import diagnose_logs
-from rejoint.twin.identify import LogSettings, identify_logs
+from rejoint.twin.identify import LogSettings, Motions, identify_logs
 
 STRANGER = replace(ARM, name="stranger")
 HEAVY = replace(ARM, mass=1.5 * ARM.mass)
 
 
-def motions(share):
+def motions(share, tempo=1):
     """Logs with torque of an arm that is heavier than its model; a ``share`` of its gravity is fed forward."""
     logs, rng = [], np.random.default_rng(0)
     for k in range(5):
-        time, command = wandering(k, 20.0, centre_of(k, wrist=0.0))
+        time, command = (one[::tempo] for one in wandering(k, 20.0 * tempo, centre_of(k, wrist=0.0)))
         sent = command + share * gravity_torque(HEAVY, command) / TRUTH.stiffness
-        log = record(f"motion{k}", time, sent, own=HEAVY)
+        log = record(f"motion{k}", time / tempo, sent, own=HEAVY)
         torque = TRUTH.stiffness * (sent - log.position + TRUTH.offset)
         noisy = torque + 0.02 * rng.standard_normal(torque.shape)
         logs.append(replace(log, arm="stranger", command=command, torque=noisy, units={"torque": "N m"}))
@@ -53,13 +53,17 @@ def test_torques_of_motors_or_in_another_unit_are_not_believed(share, gear):
 
 
 def test_a_twin_has_the_scale_of_the_torque():
-    twin = identify_logs(
-        STRANGER, motions(0.0), LogSettings(hold_out=("motion1",), coarse_seconds=20.0, fit_seconds=40.0)
-    )
-    known = twin.identified[: ARM.joints]
-    assert known.all()
+    settings = LogSettings(hold_out=("motion1",), coarse_seconds=20.0, fit_seconds=40.0)
+    twin = identify_logs(STRANGER, motions(0.0), settings)
+    assert twin.identified[: ARM.joints].all()
     assert np.abs(twin.parameters.stiffness / TRUTH.stiffness - 1.0).max() < 0.15
     assert twin.held_out.twin.tcp < 1e-3
+
+
+def test_fast_motion_tells_no_share_of_gravity():
+    belief = Motions(STRANGER, motions(0.0, tempo=4), LogSettings()).belief
+    shares = belief.layout.at("compensation")
+    assert (np.abs(-0.5 - belief.mean[shares]) < 2.0 * belief.sigma[shares])[1:4].all()
 
 
 def test_torque_of_the_other_sign_shows():

@@ -172,8 +172,6 @@ def diagnose_logs(
     on_progress: Progress = no_progress,
 ) -> Diagnosis:
     """Judge an arm by logs of any motion; InputError for another arm or too little free motion."""
-    for log in logs:
-        log.require(arm)
     refuse_copies(logs, "diagnosis")
     logs = powered(arm, logs)
     bare = states_alone(logs, "diagnosis")

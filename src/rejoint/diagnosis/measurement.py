@@ -252,13 +252,14 @@ def _stiffness(
 
 
 def sags(data: ExcitationLog) -> tuple[Array, Array, Array]:
-    """Sag per gravity torque (n,) [rad/(N m)], and logarithm and sigma (n,) of stiffness; infinite if unknown."""
+    """Return ends (n, 2) of sag per gravity torque [rad/(N m)], or NaN; and of stiffness, logarithm and sigma (n,)."""
     laws = _laws(data)
-    softness = np.array([np.inf if law is None else law.coefficients[SOFTNESS] for law in laws])
+    slopes = [law.estimate(SOFTNESS) if law else NOT_KNOWN for law in laws]
     ends = [(k.low, k.high) if k and k.low and k.high else (0.0, np.inf) for k in _known(data, laws)]
     low, high = np.log(np.maximum(ends, 1e-300)).T
-    known = np.isfinite(high)
-    return softness, np.where(known, 0.5 * (low + high), 0.0), np.where(known, high - low, np.inf) / (2.0 * NORMAL95)
+    sigma = (high - low) / (2.0 * NORMAL95)
+    softness = np.array([(k.low, k.high) for k in slopes], dtype=float)
+    return softness, np.where(np.isfinite(high), 0.5 * (low + high), 0.0), sigma
 
 
 def _laws(data: ExcitationLog) -> list[Law | None]:

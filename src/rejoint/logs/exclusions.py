@@ -170,9 +170,11 @@ def _silent(logs: Sequence[RunLog], alike: float = UNRELATED) -> Mask:
 def powered(arm: Arm, logs: Sequence[RunLog]) -> list[RunLog]:
     """Cut logs at rows without torque, declare joints that never answer, and end commands where the arm ends.
 
-    InputError where nothing is left.
+    InputError for another arm, or where nothing is left.
     """
     found = []
+    for log in logs:
+        log.require(arm)
     for log in _within_ends(arm, logs):
         edges = np.flatnonzero(np.diff(_off(log), prepend=True, append=True)).reshape(-1, 2).tolist()
         pieces = [log.rows(slice(a, b)) for a, b in edges if b - a > 2]

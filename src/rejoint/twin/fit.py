@@ -307,12 +307,13 @@ def uncertainty(problem: Problem, found: Fit, clusters: Index) -> Array:
 
 
 def _scale(problem: Problem, x: Array) -> Array:
-    """Covariance (k, k) of joints' common scales, by the ladder and the prior's gravity."""
-    owner, sigma = problem.owner, problem.prior.sigma[problem.layout.at("compensation")]
+    """Covariance (k, k) of joints' common scales, by the ladder, and the prior's gravity and stiffness."""
+    owner, at, sigma = problem.owner, problem.layout.at, problem.prior.sigma
     up, down = problem.rescaled(x, (SCALE_STEP**0.5, SCALE_STEP**-0.5))
-    sag = np.zeros_like(x)  # gravity that is fed forward, or of other masses, looks like an offset
-    sag[problem.layout.at("offset")] = sigma * problem.gravity / np.exp(x[problem.layout.at("stiffness")])
-    steps = np.stack([(up - down) / NORMAL95, np.where(problem.layout.is_log & (owner >= 0), sigma[owner], 0.0), sag])
+    sag, scale = np.zeros_like(x), np.minimum(sigma[at("compensation")], sigma[at("stiffness")])
+    # gravity that is fed forward, or of other masses, looks like an offset
+    sag[at("offset")] = sigma[at("compensation")] * problem.gravity / np.exp(x[at("stiffness")])
+    steps = np.stack([(up - down) / NORMAL95, np.where(problem.layout.is_log & (owner >= 0), scale[owner], 0.0), sag])
     return steps.T @ steps * (owner[:, None] == owner)
 
 

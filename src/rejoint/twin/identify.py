@@ -233,7 +233,8 @@ def fitted_twin(
     identified[at("offset")] &= identified[at("stiffness")] | light  # of unknown stiffness, it holds what is sag
     # below zero it stands for speed that is fed forward, or for late readings; at its bound damping does so too
     identified[at("delay")] &= parameters.delay > 0.0
-    identified[at("compensation")] = identified[at("stiffness")] & ~light  # what the sag leaves to either
+    # what the sag leaves to either
+    identified[at("compensation")] = identified[at("stiffness")] & ~light & (narrowing < IDENTIFIED)[at("compensation")]
     identified[at("damping")] &= ~found.at_bound[at("delay")]
     lower = unpack(belief.lower)
     # a limit that no motion reaches is anything above what was shown
@@ -295,12 +296,11 @@ def identify_logs(
     The returned twin is fitted to all logs; ``held_out`` are the free-space means of its ``judgement``, for a fit to
     the motions ``fitted``. InputError for another arm or too little motion.
     """
-    for log in logs:
-        log.require(arm)
     logs = [answered(log) for log in powered(arm, logs)]
     gain = recorded_gain(logs)
     seen, unseen = part(arm, logs, settings.hold_out, settings.seed)
-    motions = Motions(arm, seen, settings, table_height(arm, seen), gain)
+    height = table_height(arm, seen)
+    motions = Motions(arm, seen, settings, height, gain)
     on_progress(0.0, "search")
     structure, start = motions.find_structure(on_progress)
     on_progress(0.5, "fit")
@@ -315,17 +315,19 @@ def identify_logs(
     )
     healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm))] if is_hobby(arm) else []
     judged = [replace(one, gain=gain) if one.gain is None else one for one in (own, *healthy, *beside)]
-    judgement = judge(arm, predict_logs(arm, judged, unseen), unseen, table=motions.height)
-    on_progress(0.8, "all motions")
-    note, missing = UNJUDGED, [UNJUDGED]
-    if settings.hold_out != ():
-        alike = bool(np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY)
-        note, missing = REFITTED, [REPEATED] * alike
-        motions = replace(motions, logs=sorted(logs, key=lambda log: log.label))
-        problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
+    with ThreadPoolExecutor(1) as pool:
+        judging = pool.submit(lambda: judge(arm, predict_logs(arm, judged, unseen), unseen, table=height))
+        on_progress(0.8, "all motions")
+        note, missing = UNJUDGED, [UNJUDGED]
+        if settings.hold_out != ():
+            alike = bool(np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY)
+            note, missing = REFITTED, [REPEATED] * alike
+            motions = replace(motions, logs=sorted(logs, key=lambda log: log.label))
+            problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
+        doubt = sag_doubt(motions.data)
+        judgement = judging.result()
     on_progress(0.9, "intervals")
-    doubt, held_out = sag_doubt(motions.data), _held_out(judgement)
-    doubted = bool(doubt) or ZEROS in motions.data.log.extra
+    doubted, held_out = bool(doubt) or ZEROS in motions.data.log.extra, _held_out(judgement)
     twin = fitted_twin(problem, found, motions.logs, independent(problem), held_out, table, doubted=doubted)
     return replace(
         twin,

@@ -210,18 +210,13 @@ class Layout:
 
     def fitted(self, values: Array) -> Array:
         """Vectors (m, k) of ``values`` (m, f), else 0."""
-        whole = np.zeros((len(values), self.size))
+        whole = np.zeros((len(values), len(self.kind)))
         whole[:, self.is_fitted] = values
         return whole
 
     def normal(self, rng: np.random.Generator, count: int) -> Array:
         """Draw standard normal values (count, k) of the fitted elements, else 0."""
         return self.fitted(rng.standard_normal((count, self.is_fitted.sum())))
-
-    @property
-    def size(self) -> int:
-        """Length k."""
-        return len(self.kind)
 
     def at(self, name: str) -> slice:
         """Slice of one parameter."""
@@ -318,7 +313,7 @@ def _alike(arm: Arm, table: tuple[Parameter, ...]) -> Array:
     """Correlation (k, k) of joints with equal servos."""
     layout, servos = Layout(arm.joints), arm.servos or ("",) * arm.joints
     same = np.array([[one == other != "" for other in servos] for one in servos]) & ~np.eye(arm.joints, dtype=bool)
-    correlation = np.eye(layout.size)
+    correlation = np.eye(len(layout.kind))
     for p in table:
         if p.alike is not None:
             correlation[layout.at(p.name), layout.at(p.name)] += same * (1.0 - (p.alike / p.sigma) ** 2)

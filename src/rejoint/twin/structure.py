@@ -31,6 +31,8 @@ BETTER = 0.98
 EARLIER = 0.01
 """[s] of delay that imitates a limited acceleration; measured"""
 
+SHOWN = 1.0
+"""Widest interval of a share of gravity that a sag shows; chosen"""
 GAIN = 0.02
 """Least first gain of a limit; chosen"""
 
@@ -95,14 +97,17 @@ def decide_compensation(data: ExcitationLog) -> Prior:
     layout = belief.layout
     stiffness, fed = layout.at("stiffness"), layout.at("compensation")
     softness, value, error = sags(data)
-    rows = np.eye(layout.size)[stiffness] / error[:, None]
+    rows = np.eye(len(layout.kind))[stiffness] / error[:, None]
     moved, covariance = fit_believed(rows, (value - belief.mean[stiffness]) / error, belief.precision)
     mean, sigma = belief.clip(belief.mean + moved), np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(sigma, sigma)
-    mean[fed] = np.clip(1.0 - softness * np.exp(mean[stiffness]), np.where(np.isinf(error), LEAST_FED, -1.0), 1.0)
-    sigma[fed] = sigma[stiffness]
+    low, high = 1.0 - np.exp(mean[stiffness]) * softness.T[::-1]
+    shown = high - low < SHOWN
+    least = np.where(shown & np.isfinite(error), -1.0, LEAST_FED)
+    mean[fed] = np.clip(np.where(shown, 0.5 * (low + high), 0.0), least, 1.0)
     told = belief.sigma.copy()
     told[fed] = told[stiffness]
+    sigma[fed] = np.where(shown, sigma[stiffness], told[fed])
     return replace(belief, mean=mean, sigma=sigma, correlation=correlation, told=told)
 
 
@@ -205,9 +210,8 @@ def with_limit(problem: Problem, x: Array, limit: str) -> Array:
         start[place] = value
         fits.append(fit(problem, start, FURTHER).vector)
     y = explored(problem, line_up(problem, np.array(fits), before, problem.weights(before[0]))[0])
-    if _ratio(_losses(problem, y), loss(before[0]).sum(axis=0)) >= 1.0 - GAIN:
-        return x
-    return fit(problem, y, FURTHER).vector
+    gains = _ratio(_losses(problem, y), loss(before[0]).sum(axis=0)) < 1.0 - GAIN
+    return fit(problem, y, FURTHER).vector if gains else x
 
 
 def with_both(problem: Problem, x: Array) -> Array:

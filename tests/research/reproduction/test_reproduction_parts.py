@@ -9,7 +9,6 @@ from rejoint_lab.research.reproduction import measures
 from rejoint_lab.research.reproduction.campaign import (
     WORN,
     Bench,
-    Experiment,
     finish_trainings,
 )
 
@@ -44,16 +43,3 @@ def test_a_training_that_cannot_go_on_says_why_and_stops_the_others(tmp_path):
     with pytest.raises(RejointError, match=r"training.*cannot be written"):
         finish_trainings(bench, (WORN[0], "literal"))
     assert not bench.training("literal").policy.exists()
-
-
-def test_text_and_numbers_are_formats_of_what_is_measured():
-    experiment = Experiment(
-        title="X",
-        measure="none.at_all",
-        text=("It is {a:.1f}.",),
-        numbers=(("one", "{a:.2f} s", "3 s"), ("two", "{b}"), ("three", "{c}")),
-        readings=(),
-    )
-    done = experiment.finish({"a": np.float64(1.234), "b": "2 ± 1 mm", "c": "never"})
-    assert done.text == ("It is 1.2.",)
-    assert done.numbers == (("one", "1.23 s", "3 s"), ("two", "2 ± 1 mm", "-"), ("three", "never", "-"))
