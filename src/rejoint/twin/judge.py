@@ -42,7 +42,7 @@ from rejoint.twin.twin import (
 
 TIMESTEP = 0.010
 """[s]; measured: as good as a quarter of it"""
-TOGETHER = 16
+LOCKSTEP = 16
 """Logs of similar length simulated in lockstep; no effect on results"""
 
 
@@ -81,9 +81,10 @@ def predict_logs(arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLo
         raise InputError(
             f"replay: twins called {', '.join(names[1:])}; give each a name of its own, other than {NO_TWIN!r}"
         )
-    order = sorted(range(len(logs)), key=lambda i: logs[i].duration)
+    order = np.argsort([log.duration for log in logs])
     found = [{NO_TWIN: in_force(log)} for log in logs]
-    for alike in (order[i : i + TOGETHER] for i in range(0, len(order), TOGETHER)):
+    for first in range(0, len(logs), LOCKSTEP):
+        alike = order[first : first + LOCKSTEP]
         windows = [Window(log=logs[i], first=0, last=len(logs[i])) for i in alike]
         for c in candidates:
             replay = Replay(arm, windows, TIMESTEP, c.acceleration, c.gain)
