@@ -205,7 +205,7 @@ class Following:
         track, name = self._tracks[b, j], self._arm.joint_names[j]
         if self.falling[b, j]:
             return (
-                f"{name}: it moves away from its command; it has no torque, too little for its load, or a wrong "
+                f"{name}: it moves away from its goal; it has no torque, too little for its load, or a wrong "
                 "reading, or it swings: support the arm before you switch it off"
             )
         seen = (

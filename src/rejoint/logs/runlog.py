@@ -268,14 +268,19 @@ class RunLog:
 
 def write_parquet(path: Path, table: pa.Table) -> None:
     """Write a Parquet file with checksums, whole or not at all; FileError."""
-    write_whole(path, lambda temporary: pq.write_table(table, temporary, compression="zstd", write_page_checksum=True))
+
+    def write(temporary: Path) -> None:
+        with temporary.open("wb") as file:  # Arrow takes no path that is no UTF-8
+            pq.write_table(table, file, compression="zstd", write_page_checksum=True)
+
+    write_whole(path, write)
 
 
 def read_parquet(path: Path, remedy: str, columns: list[str] | None = None) -> pa.Table:
     """Read a Parquet file with checksums; FileError."""
     require_file(path, LOG_MOST, remedy)
     _load_pandas()
-    with pq.ParquetFile(path, page_checksum_verification=True) as file:
+    with path.open("rb") as raw, pq.ParquetFile(raw, page_checksum_verification=True) as file:
         values = file.metadata.num_rows * file.metadata.num_columns
         if values > VALUES_MOST:
             raise FileError(path, f"{values} numbers, expected at most {VALUES_MOST}", remedy)

@@ -98,8 +98,6 @@ class Run(Readable):
                 )
             run.require(arm)
             return run
-        if folder.path.is_dir() and not _empty(folder.path):
-            raise InputError(f"{path} is not a run folder and not empty; give another --run")
         info = RunInfo(
             robot=robot,
             arm=arm.name,
@@ -109,7 +107,11 @@ class Run(Readable):
             name=name,
             fleet=fleet,
         )
-        return cls(folder=folder, info=info, arm=arm)
+        run = cls(folder=folder, info=info, arm=arm)
+        kept = run.diagnosis  # of a run whose description is lost
+        if folder.path.is_dir() and not _empty(folder.path) and (kept is None or kept.robot != robot):
+            raise InputError(f"{path} is not a run folder and not empty; give another --run")
+        return run
 
     @classmethod
     def create(cls, path: Path | str, robot: str, arm: Arm, seed: int = 0) -> Run:

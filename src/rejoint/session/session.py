@@ -43,8 +43,8 @@ WITHIN_JOINT = radians(0.5)
 """[rad] within which joint positions are reached (chosen)"""
 EVERY_JOINT = PostureGains(weak=np.inf, close=1e-4, lead=radians(19.5))
 """Joint positions without a place: every joint is brought close (measured)"""
-TURNS = 4.0 * np.pi
-"""[rad] beyond which a joint position is not in radians"""
+HALF_TURN = np.pi
+"""[rad] beyond the limits, from which a joint position is not in radians; chosen: no leader's joints turn so far"""
 ANGLE = "a positive angle in radians"
 STARTING = 5.0
 """[s] for the first cycle of a stream (chosen)"""
@@ -251,8 +251,9 @@ class Session(ArmDriver):
         goal = as_floats(who, given, f"{self.arm.joints} joint positions in radians")
         if goal.shape != (self.arm.joints,) or not np.isfinite(goal).all():
             raise InputError(f"{who}: expected {self.arm.joints} joint positions in radians, got {given!r}")
-        if np.abs(goal).max() > TURNS:
-            raise InputError(f"{who}: joint positions {given!r} are beyond two turns; give radians")
+        beyond = np.maximum(self.arm.lower - goal, goal - self.arm.upper) * ~self.arm.endless
+        if beyond.max() > HALF_TURN:
+            raise InputError(f"{who}: joint positions {given!r} are far beyond the limits; give radians")
         return goal
 
     def _clear(self, posture: Array) -> bool:

@@ -296,7 +296,7 @@ def judge_targets(
                 f"still {1e3 * error:.0f} mm off after {job.dwell:g} s{_held_back(rows.reasons[here])}": far
                 and not early,
                 (why := overloaded(rows.position[last])): far and bool(why),
-                f"no answers for {paused:.1f} s": paused > 0.0,
+                f"a pause of {paused:.1f} s without commands": paused > 0.0,
                 f"still turned {np.degrees(turned):.0f} deg off": askew,
             }
             count, seen = sightings[k] if k < len(sightings) else (0, None)

@@ -423,7 +423,7 @@ def read_calibration(path: Path, arm: Arm) -> Calibration:
         require_finite(own.distance(arm.rest), (3,))  # its arrays fit the arm
         return own
 
-    return read_sealed(path, build, name="calibration", version=FORMAT, again="calibrate the arm")
+    return read_sealed(path, build, name="calibration", version=FORMAT, again="with --fresh, calibrate the arm")
 
 
 def require_finite(array: Array, shape: tuple[int, ...]) -> None:
