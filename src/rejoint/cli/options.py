@@ -289,7 +289,7 @@ def takes(command: Callable[..., object]) -> Callable[..., None]:
         value = command(call, **words)
         if value is not None:
             call.finish(value)
-        if call.code and not call.settings.dry_run:
+        if call.code:
             raise typer.Exit(call.code)
 
     run.__signature__ = Signature(shown)  # type: ignore[attr-defined]

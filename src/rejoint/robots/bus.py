@@ -98,7 +98,7 @@ class Bus(ABC):
 
     name: str = "robot"
     """in messages"""
-    advice: str = "is the arm switched on, its server running, and the address right?"
+    advice: str = "is the arm switched on, its server running and no other program on it, and the address right?"
     """hint where nothing answers"""
     clock: Clock = Clock()
 

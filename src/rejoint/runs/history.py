@@ -118,7 +118,8 @@ def summarise(run: Run) -> None:
     if kind == REPAIR:
         from rejoint.pages.report.page import check_again
 
-        arm = replace(arm, line=f"{arm.line} Do: {check_again(run.folder, run.info)}")
+        use = f"Do: drive it with --run {run.path}, and check it: {check_again(run.folder, run.info)}"
+        arm = replace(arm, line=f"Before its repair: {arm.line} {use}")
     write_rows(path, [arm])
 
 

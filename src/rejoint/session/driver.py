@@ -415,7 +415,8 @@ class ArmDriver:
             if self.settings.dry_run:
                 robot = self.rehearsal = RehearsedRobot(robot, self.twin, self.period, self.calibration)
             self._stack.enter_context(self._gains)
-            self._base = guard_limits(self.run, self.arm, self.address)
+            # a simulated joint is never held, and its friction is not known so well
+            self._base = guard_limits(None if self.rehearsal else self.run, self.arm, self.address)
             self.limits = limits_under(self._base, robot, None)
             pace, paced = self._pace, None if self._pace is None else False
             if pace is not None and (self.rehearsal is not None or virtual):

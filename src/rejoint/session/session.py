@@ -435,8 +435,10 @@ class Session(ArmDriver):
                         self.stop()
                 finally:
                     self.recorder.end()
-                if self.rehearsal is not None and error is None:
+                if self.rehearsal is not None:
                     self.observer.message(self.rehearsal.summary())
+                    if error is not None:  # a forecast: no order to the arm, and nothing that is kept
+                        error.__notes__ = ["So it would end in the simulation. Nothing moved or was recorded."]
             finally:
                 self._stack.__exit__(kind, error, trace)
         if error is None and motion is not None:

@@ -290,11 +290,10 @@ def judge_targets(
         if len(here):
             last, early = int(here[-1]), ended and k == rows.target_index[-1]
             error, turned, paused = float(errors[last]), float(rows.turned[last]), float(gap[here].max())
-            far, askew = not error < job.within, turned > REACHED_TURN
+            far, askew = not (early or error < job.within), turned > REACHED_TURN
             remarks = {
                 "ended early": early,
-                f"still {1e3 * error:.0f} mm off after {job.dwell:g} s{_held_back(rows.reasons[here])}": far
-                and not early,
+                f"still {1e3 * error:.0f} mm off after {job.dwell:g} s{_held_back(rows.reasons[here])}": far,
                 (why := overloaded(rows.position[last])): far and bool(why),
                 f"a pause of {paused:.1f} s without commands": paused > 0.0,
                 f"still turned {np.degrees(turned):.0f} deg off": askew,
