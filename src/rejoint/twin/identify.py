@@ -178,7 +178,7 @@ def identify(
     on_progress(0.9, "intervals")
     held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)
     clusters = np.unique(fine.window + 1j * (fine.replay.time // CLUSTER), return_inverse=True)[1]
-    twin = fitted_twin(fine, found, logs, clusters, held_out, doubted=bool(doubt))
+    twin = fitted_twin(fine, found, logs, clusters, held_out, doubted=doubt)
     return replace(twin, notes=(*twin.notes, *[UNTRUSTED] * (not held_out.trusted), *filter(None, [doubt])))
 
 
@@ -202,7 +202,7 @@ def fitted_twin(
     held_out: HeldOut,
     table: TablePlane | None = None,
     *,
-    doubted: bool = False,
+    doubted: str | bool = False,
 ) -> Twin:
     """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen in all ``logs`` bound it.
 
@@ -218,10 +218,13 @@ def fitted_twin(
     sagless = np.isin(belief.layout.kind, [number(name) for name in SAGLESS])
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen & (sagless | (not doubted))
     silent = problem.powered.sum(axis=0) == 0
-    errors = problem.residuals(vector[None])[0] ** 2 - (replay.commands - replay.measured) ** 2
-    worse = errors.sum(axis=0) > 0.0  # than the command alone
+    residual = problem.residuals(vector[None])[0]
+    worse = (residual**2 - (replay.commands - replay.measured) ** 2).sum(axis=0) > 0.0  # than the command alone
     together = sum(told[at(name)] ** -2 for name in SCALE) ** -0.5  # of their scale, by all priors without data
-    mute, vague = (np.append(one, False)[problem.owner] for one in (silent | worse, sigma[at("stiffness")] > together))
+    mute, vague = (
+        np.append(one, False)[problem.owner]
+        for one in (silent | worse | ~explained(residual), sigma[at("stiffness")] > together)
+    )
     # where an interval goes beyond its bound, only the bound tells where it ends
     identified &= ~mute & ~((vague | (vector + NORMAL95 * sigma > belief.upper)) & belief.layout.is_log)
     held, limit = largest_static_torque(replay.arm, logs, parameters.coulomb), parameters.torque_limit
@@ -327,8 +330,8 @@ def identify_logs(
         doubt = sag_doubt(motions.data)
         judgement = judging.result()
     on_progress(0.9, "intervals")
-    doubted, held_out = bool(doubt) or ZEROS in motions.data.log.extra, _held_out(judgement)
-    twin = fitted_twin(problem, found, motions.logs, independent(problem), held_out, table, doubted=doubted)
+    doubted, clusters = doubt or ZEROS in motions.data.log.extra, independent(problem)
+    twin = fitted_twin(problem, found, motions.logs, clusters, _held_out(judgement), table, doubted=doubted)
     return replace(
         twin,
         gain=gain,
