@@ -18,21 +18,22 @@ def number(value: float | None, digits: int = 3, unit: str = "") -> str:
     """Value with ``digits`` significant digits and unit, or `UNKNOWN`."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
-    return f"{value:z.{_places(value, digits)}f}{_suffix(unit)}"
+    suffix = unit and f"\N{NO-BREAK SPACE}{unit}"
+    return f"{value:z.{_places(value, digits)}f}{suffix}"
 
 
-def interval(low: float | None, high: float | None, digits: int = 3, unit: str = "", factor: float = 1.0) -> str:
+def interval(low: float | None, high: float | None, digits: int = 3, factor: float = 1.0) -> str:
     """``low to high`` times ``factor``; empty if an end is missing or both are equal."""
     if low is None or high is None or low == high or not (math.isfinite(low) and math.isfinite(high)):
         return ""
     low, high = low * factor, high * factor
     places = _places(max(abs(low), abs(high)), digits)
-    return f"{low:z.{places}f} to {high:z.{places}f}{_suffix(unit)}"
+    return f"{low:z.{places}f} to {high:z.{places}f}"
 
 
-def ends(one: Estimate, digits: int, factor: float = 1.0, unit: str = "") -> str:
+def ends(one: Estimate, digits: int, factor: float = 1.0) -> str:
     """Interval of an estimate times ``factor``."""
-    return interval(one.low, one.high, digits, unit, factor)
+    return interval(one.low, one.high, digits, factor)
 
 
 def grouped(found: Mapping[str, Sequence[str]]) -> str:
@@ -45,10 +46,6 @@ def _places(value: float, digits: int) -> int:
         return digits - 1
     rounded = float(f"{value:.{digits - 1}e}")
     return min(max(0, digits - 1 - math.floor(math.log10(abs(rounded)))), MOST_PLACES)
-
-
-def _suffix(unit: str) -> str:
-    return f"\N{NO-BREAK SPACE}{unit}" if unit else ""
 
 
 class Cell(NamedTuple):
