@@ -230,16 +230,11 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     caption: str = ""
 
     def run(self, bench: Bench) -> Finished:
-        """Measure."""
+        """Measure, and put what was found into words."""
         from rejoint_lab.research.reproduction import measures  # late: they load what trains
 
-        return self.finish(getattr(measures, self.measure)(bench))
-
-    def finish(self, found: Found) -> Finished:
-        """Put what was ``found`` into words."""
-        rows = (
-            (what, ours.format_map(found), paper) for what, ours, paper in ((*row, "-")[:3] for row in self.numbers)
-        )
+        found: Found = getattr(measures, self.measure)(bench)
+        rows = ((what, ours.format_map(found), paper[0] if paper else "-") for what, ours, *paper in self.numbers)
         text = tuple(paragraph.format_map(found) for paragraph in self.text)
         return Finished(text=text, numbers=tuple(rows), grids=tuple(found.get("grids", ())))
 
@@ -320,7 +315,6 @@ def run_experiments(
 
 def write_page(bench: Bench) -> Path:
     """Write all finished experiments to ``reproduction.md`` in the folder, beside the figures."""
-    there = [name for name in EXPERIMENTS if bench.result(name).exists()]
     return fill(
         bench.folder / PAGE,
         "reproduction.md",
@@ -328,6 +322,6 @@ def write_page(bench: Bench) -> Path:
         recipe=PAPER,
         joint_noise=PaperRanges.joint_noise,
         experiments=EXPERIMENTS,
-        found={name: read_json(bench.result(name), Finished) for name in there},
+        found={name: read_json(path, Finished) for name in EXPERIMENTS if (path := bench.result(name)).exists()},
         anchor=lambda title: "".join(c for c in title.lower() if c.isalnum() or c in " -").replace(" ", "-"),
     )

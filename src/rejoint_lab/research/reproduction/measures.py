@@ -20,7 +20,6 @@ from rejoint.control.comparison.result import (
     Comparison,
     ControllerRow,
     Key,
-    Protocol,
     row_of,
 )
 from rejoint.control.controllers.observation import Observation, layout_factors, layout_slots
@@ -324,9 +323,9 @@ NAMES = {
 }
 
 
-def trials(bench: Bench, profile: str, names: Sequence[str], protocol: Protocol, repetitions: int) -> TrialRunner:
+def trials(bench: Bench, profile: str, names: Sequence[str]) -> TrialRunner:
     """Trials of controllers, or policies of trainings, on a kind of arm; what is kept of them is not driven again."""
-    file = bench.folder / "trials" / f"{profile}-hold-{protocol.hold:g}s.json"
+    file = bench.folder / "trials" / f"{profile}-hold-{bench.protocol.hold:g}s.json"
     return TrialRunner(
         lambda count, seed: open_robot(f"emulated:{profile}", arm=bench.arm, seed=seed, count=count),
         {
@@ -336,8 +335,8 @@ def trials(bench: Bench, profile: str, names: Sequence[str], protocol: Protocol,
             for name in names
         },
         bench.targets,
-        Settings(repetitions=repetitions, seed=bench.seed, batched=True, protocol=protocol),
-        ledger=Ledger(file, repr((__version__, protocol))),
+        Settings(repetitions=bench.repetitions, seed=bench.seed, batched=True, protocol=bench.protocol),
+        ledger=Ledger(file, repr((__version__, bench.protocol))),
         on_progress=bench.on_progress,
     )
 
@@ -365,9 +364,10 @@ def _ten(row: ControllerRow) -> str:
 
 def measure_wear(bench: Bench) -> Found:
     """Send the default controller of a healthy and of a worn arm to the same targets."""
-    protocol, found, series, means = replace(bench.protocol, hold=FIG_9_DWELL), Found(), [], []
+    brief = replace(bench, protocol=replace(bench.protocol, hold=FIG_9_DWELL), repetitions=1)
+    found, series, means = Found(), [], []
     for profile, look, paper in (("healthy", LOOKS["blue"], 3.09), ("worn", LOOKS["red"], 22.7)):
-        compared = trials(bench, profile, ["default"], protocol, repetitions=1).compare()
+        compared = trials(brief, profile, ["default"]).compare()
         (row,), sets = compared.rows, 1e3 * compared.array("settled", "default")[:, 0]
         found |= {profile: _mm(row.settled, 1), f"{profile}_true": _mm(row.settled_true, 1)}
         means.append(sets.mean(axis=1))
@@ -389,7 +389,7 @@ def measure_wear(bench: Bench) -> Found:
 def measure_trainings(bench: Bench) -> Found:
     """Compare trainings over the paper's open points, and their policies on the worn arm."""
     rows, success = [], {}
-    compared = trials(bench, "worn", (*WORN, *LITERALLY), bench.protocol, bench.repetitions).compare()
+    compared = trials(bench, "worn", (*WORN, *LITERALLY)).compare()
     for row in compared.rows:
         name, (preset, offset) = row.controller, recipe(row.controller)
         trained, success[name] = read_curves(bench.training(name).curves), 100 * row.reached
@@ -436,9 +436,7 @@ def measure_control(bench: Bench) -> Found:
     """Compare by the paper's protocol, and by holds."""
     found, panels = Found(), {}
     policies = {name: WORN if name == "policy" else (name,) for name in NAMES}
-    runner = trials(
-        bench, "worn", [one for names in policies.values() for one in names], bench.protocol, bench.repetitions
-    )
+    runner = trials(bench, "worn", [one for names in policies.values() for one in names])
     compared = runner.compare()
     for name, names in policies.items():
         row = _together(compared, names)
