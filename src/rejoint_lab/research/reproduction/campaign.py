@@ -192,19 +192,19 @@ class Grid(NamedTuple):
     """A table of the page."""
 
     title: str
-    headers: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    headers: Sequence[str]
+    rows: Sequence[Sequence[str]]
 
 
 @value_type
 class Finished:
     """What an experiment found, in words."""
 
-    text: tuple[str, ...]
+    text: Sequence[str]
     """paragraphs"""
-    numbers: tuple[tuple[str, str, str], ...]
+    numbers: Sequence[tuple[str, str, str]]
     """what, ours and the paper's, as printed with unit and spread"""
-    grids: tuple[Grid, ...]
+    grids: Sequence[Grid]
     """further tables"""
 
 
@@ -234,9 +234,11 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         from rejoint_lab.research.reproduction import measures  # late: they load what trains
 
         found: Found = getattr(measures, self.measure)(bench)
-        rows = ((what, ours.format_map(found), paper[0] if paper else "-") for what, ours, *paper in self.numbers)
-        text = tuple(paragraph.format_map(found) for paragraph in self.text)
-        return Finished(text=text, numbers=tuple(rows), grids=tuple(found.get("grids", ())))
+        return Finished(
+            text=[paragraph.format_map(found) for paragraph in self.text],
+            numbers=[(what, ours.format_map(found), paper[0] if paper else "-") for what, ours, *paper in self.numbers],
+            grids=found.get("grids", ()),
+        )
 
 
 SEEDS = 3

@@ -76,7 +76,7 @@ def measure_kinematics(bench: Bench) -> Found:
     names = ("offset °", "d mm", "a mm", "α °")
     headers = ("joint", *(f"{whose}: {name}" for whose in ("paper", "vendor") for name in names))
     tables = zip(PAPER_DH_TABLE, DH_TABLE, strict=True)
-    cells = tuple((str(i), *_cells(paper), *_cells(vendor)) for i, (paper, vendor) in enumerate(tables, start=1))
+    cells = [(str(i), *_cells(paper), *_cells(vendor)) for i, (paper, vendor) in enumerate(tables, start=1)]
     return {
         "apart": apart,
         "equal": equal,
@@ -126,7 +126,7 @@ def measure_gains(bench: Bench) -> Found:
     shown = [
         [f"{e:.2g} mm, {o:.0f} %" for e, o in (judge(path, targets) for path in some)] for some in (paths, printed)
     ]
-    rows = tuple((f"{p:g}", f"{d:g}", *cells) for (p, d), *cells in zip(PAIRS, *shown, strict=True))
+    rows = [(f"{p:g}", f"{d:g}", *cells) for (p, d), *cells in zip(PAIRS, *shown, strict=True)]
     headers = ("P", "D", "rescaled: error, overshoot", "P in N m/rad: error, overshoot")
     return {
         **dict(zip(("stiff", "soft", "softest"), shown[0], strict=True)),
@@ -424,7 +424,7 @@ def measure_trainings(bench: Bench) -> Found:
         "success": f"{100 * row.reached:.1f} % ({min(worn):.1f} to {max(worn):.1f} over seeds)",
         "error": _mm(row.crossing_error),
         **{name.partition("-")[0]: success[name] for name in LITERALLY},
-        "grids": [Grid("What the policies do on the worn arm", headers, tuple(rows))],
+        "grids": [Grid("What the policies do on the worn arm", headers, rows)],
     }
 
 
@@ -456,5 +456,5 @@ def measure_control(bench: Bench) -> Found:
         "targets": bench.count,
         "sets": bench.sets,
         "repetitions": bench.repetitions,
-        "grids": [Grid(title, tuple(headers), tuple(map(tuple, cells)))],
+        "grids": [Grid(title, headers, cells)],
     }
