@@ -24,7 +24,7 @@ from rejoint.control.comparison.result import Protocol
 from rejoint.control.recording import Observers
 from rejoint.pages.html import macros
 from rejoint.pages.live.page import SLOWER, TARGET, WebPage
-from rejoint.pages.live.view import Doing, LiveView, SeenCycle, Shown
+from rejoint.pages.live.view import Doing, LiveView, Shown
 from rejoint.robots import DEFAULT_ARM
 from rejoint.runs.exports import KINDS
 from rejoint.studio import jobs
@@ -232,9 +232,7 @@ class StudioPage(WebPage):
         if self._count % SLOWER == 0:
             self.render()
 
-    def write(self, shown: Shown, seen: SeenCycle | None, doing: Doing) -> None:
-        """Write what follows the arm."""
-        self.write_state(shown, seen, doing)
+    write = WebPage.write_state  # `render` writes the rest
 
     def render(self) -> None:
         """Show the status."""
