@@ -285,9 +285,6 @@ def _columns(found: Comparison) -> ResultColumns:
         arms = np.indices(values.shape)[0].ravel()
         return measured(clustered_share(values.ravel(), arms) if np.isfinite(values).any() else None, 100.0)
 
-    def hits(controller: str) -> Array:
-        return inside({name: found.array(name, controller) for name in ("settled_true", *MODELLED)})
-
     columns = result_columns(found.protocol, found.shape[-1]) | {
         "95 % below, encoders [mm]": lambda row: _p95(row.settled, 3),
         "95 % below, true [mm]": lambda row: _p95(row.settled_true, 2),
@@ -297,7 +294,9 @@ def _columns(found: Comparison) -> ResultColumns:
         return columns
     return columns | {
         "expected by the calibration [mm]": lambda row: Cell((row.settled_modelled or NOT_KNOWN).millimetres),
-        "in its interval [%]": lambda row: share(hits(row.controller)),
+        "in its interval [%]": lambda row: share(
+            inside({name: found.array(name, row.controller) for name in ("settled_true", *MODELLED)})
+        ),
         "corrected arms [%]": lambda row: share(found.array("used", row.controller)),
     }
 
@@ -436,11 +435,12 @@ def _follow(
     home = np.stack([_home_of(path, arm, own) for path, (own, *_) in zip(paths, pairs, strict=True)])
     driven = dict[str, Recording]()
 
-    def drive(case: str, profile: str, guides: Sequence[Guide], *, tracks: bool = True, noise: int = 0) -> Recording:
+    def drive(case: str, guides: Sequence[Guide], noise: int = 0) -> Recording:
         on_progress(len(driven) / len(CASES), case)
+        tracks = case not in (HEALTHY, SENT)
         near = home if tracks else None
         start = PathPostures(arm, np.stack([path.place[0] for path in paths]), home=near).last
-        wears = [load_wear(profile.format(seed), arm) for _, seed, _ in pairs]
+        wears = [load_wear("healthy" if case == HEALTHY else f"worn?seed={seed}", arm) for _, seed, _ in pairs]
         robot = EmulatedRobot(arm, wears, seed=seeds[0] + noise, start=start)
         sent = command_for(arm, servos, np.repeat(start[None], 3, axis=0)) if tracks else start  # what holds it there
         plan = Schedule(dwell=LEAD_IN + LAG + max(path.duration for path in paths), sent=sent, keep_going=True)
@@ -448,17 +448,16 @@ def _follow(
         driven[case] = run(robot, controller, PathReference(arm, guides, near), plan)
         return driven[case]
 
-    worn = "worn?seed={}"
-    drive(HEALTHY, "healthy", paths, tracks=False)
-    drive(SENT, worn, paths, tracks=False)
+    drive(HEALTHY, paths)
+    drive(SENT, paths)
     known, lessons = paths, [list[Array]() for _ in paths]
     for time in range(REPETITIONS):
-        recording = drive(REPEATED if time else AHEAD, worn, known, noise=time)  # the last time counts
+        recording = drive(REPEATED if time else AHEAD, known, time)  # the last time counts
         known = [
             replace(path, aim=next_aim(path, lesson, one.aimed, *missed(arm, recording, path, b)))
             for b, (path, one, lesson) in enumerate(zip(paths, known, lessons, strict=True))
         ]
-    drive(STREAM, worn, [played(path, RATE) for path in paths])
+    drive(STREAM, [played(path, RATE) for path in paths])
     return {
         case: [(judge(arm, one, path, b).encoder, bool(one.tripped[b])) for b, path in enumerate(paths)]
         for case, one in driven.items()

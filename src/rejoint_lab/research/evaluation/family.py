@@ -122,7 +122,7 @@ def misdescribed(arm: Arm, variant: Variant, seed: int) -> Arm:
 def family_targets(arm: Arm, family: ArmFamily, draw: int = 0) -> Array:
     """Targets (A, max(K, C), 3) [m] of both protocols, others for every arm."""
     count = max(family.targets, family.crossings)
-    return draw_targets(arm, sets=family.arms, count=count, seed=FAMILY_SIZE * (family.seed + 1) + draw)
+    return draw_targets(arm, sets=family.arms, count=count, seed=family.wear_seeds[0] + draw)
 
 
 def targets_anywhere(arm: Arm, family: ArmFamily, twins: Sequence[Twin]) -> tuple[Array, Ways]:
