@@ -46,19 +46,17 @@ def emulate(
     if chosen.name not in CATALOGUE:
         raise InputError(f"no wire protocol is known for {chosen.name}; expected --arm {' or '.join(CATALOGUE)}")
     wear = wear or ("so101" if chosen.name == "so101" else "worn")
-    on_bus, faults = bool(chosen.servos), parse_faults(fault, chosen.joints)
-    for one in () if on_bus else SERVO_BUS:
+    faults = parse_faults(fault, chosen.joints)
+    for one in () if chosen.servos else SERVO_BUS:
         if one in faults:
             raise InputError(f"the fault {one} is one of an arm on its servos' own bus, as --arm so101 is")
     with suppress(KeyboardInterrupt), ExitStack() as stack:
         truth = None if log is None else stack.enter_context(closing(servers.TruthLog(log, chosen.joints)))
-        known: dict[str, Any] = {"seed": seed, "faults": faults, "log": truth}
-        session: servers.EmulatedConversation[Any]
-        if on_bus:
+        kind: Any = firmware.Firmware
+        if chosen.servos:
             kind = dynamixel.XArm if chosen.name in dynamixel.FITTINGS else feetech.StsArm
-            session = BusSession(kind.build(chosen, wear, seed=seed), **known)
-        else:
-            session = servers.WireSession(firmware.Firmware.build(chosen, wear, seed=seed), **known)
+        conversation: Any = BusSession if chosen.servos else servers.WireSession
+        session = conversation(kind.build(chosen, wear, seed=seed), seed=seed, faults=faults, log=truth)
         server = TerminalServer(session) if pty else servers.on_port(session, host, port)
         stack.callback(server.stop)
         call.message(f"{chosen.name} with the wear profile '{wear}' answers at {server.address}  (Ctrl-C ends it)")
