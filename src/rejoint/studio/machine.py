@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar, cast
+from typing import Any, Literal, TypeVar
 
 import rejoint
 from rejoint.arms import Arm, Array
@@ -238,7 +238,7 @@ class Studio(Observer):
 
     def stage(self, stage: object) -> None:
         """See `Observer`."""
-        self.change(stage=cast("rejoint.Stage", stage), share=0.0, began=time.monotonic())
+        self.change(stage=stage, share=0.0, began=time.monotonic())
         self.heed()
 
     def served(self, address: str) -> None:
