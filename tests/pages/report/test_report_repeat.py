@@ -51,4 +51,5 @@ def test_the_check_after_a_repair_is_of_the_same_arm(tmp_path, diagnosis, named,
     write_json(folder.finished, {})
     rejoint.report(folder.path)
     row = summary_of(folder.path / SUMMARY)
-    assert (row.arm, what_to_do(row)) == (named.get("name", "mycobot280-emulated-worn"), line.format(tmp_path))
+    assert row.arm == named.get("name", "mycobot280-emulated-worn")
+    assert what_to_do(row).endswith(line.format(tmp_path))
