@@ -94,8 +94,8 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text as `write_whole`."""
-    write_bytes(path, text.encode())
+    """Write a text as `write_whole`; what is no text of a path, by its number."""
+    write_bytes(path, text.encode(errors="backslashreplace"))
 
 
 def read_bounded(path: Path, remedy: str, most: int = FILE_MOST) -> bytes:
