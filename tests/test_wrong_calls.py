@@ -208,7 +208,7 @@ def test_a_named_arm_with_a_description_is_deployed_with_its_run(tmp_path, cli, 
     Run.create("run", "emulated:worn", mycobot280())
     write_arm_toml(tmp_path / "mine.toml", mycobot280())
     cli("arms", "add", "bench-3", "emulated:worn", "--arm", "mine.toml")
-    cli("deploy", "bench-3", "run", "--controller", "default", "--dry-run")
+    cli("deploy", "bench-3", "run", "--controller", "default", "--dry-run", code=5)
     for robot in ("emulated:worn", "bench-3"):
         assert "give another --run" in cli("deploy", robot, "run", "--arm", "so101", code=2).error
 

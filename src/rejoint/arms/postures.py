@@ -262,8 +262,8 @@ def too_heavy(arm: Arm, q: Array, limit: Array) -> tuple[int | None, str]:
     torque = np.abs(gravity_torque(arm, q))
     j = int(np.argmax(torque / limit))
     share = 100.0 * torque[j] / limit[j]
-    lifts = f"surely lifts {limit[j]:.2f} N m, {share:.0f} per cent of it"
-    return j if share > 100.0 else None, f"{arm.joint_names[j]} needs {torque[j]:.2f} N m and {lifts}"
+    least = f"{share:.0f} per cent of the {limit[j]:.2f} that it surely lifts"
+    return j if share > 100.0 else None, f"{arm.joint_names[j]} needs {torque[j]:.2f} N m, {least}"
 
 
 def _nearby(arm: Arm, load: Array, goal: Array, start: Array) -> tuple[float, Array, Array]:

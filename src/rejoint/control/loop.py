@@ -6,8 +6,8 @@ Constants without a source are chosen.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -34,8 +34,8 @@ from rejoint.control.guard import (
 from rejoint.control.monitor import Following
 from rejoint.control.recording import GAP, Cycle, LookedAt, OnCycle, Recording, recorded
 from rejoint.control.reference import Reference, TargetSequence
-from rejoint.control.robot import ControlInput, Controller, JointState, Robot, part_of, turned_off
-from rejoint.system.errors import GuardTripError, InputError, PowerLostError, RejointError, first_line
+from rejoint.control.robot import ControlInput, Controller, JointState, Robot, RobotWrapper, part_of, turned_off
+from rejoint.system.errors import GuardTripError, InputError, NotReadyError, PowerLostError, RejointError, first_line
 from rejoint.system.numbers import as_floats
 from rejoint.system.records import entity
 from rejoint.system.stopping import Interrupted, check, noted, shielded
@@ -109,7 +109,7 @@ def run(
         reference = TargetSequence(limits.arm, reference)
     warm_up(limits)
     run_state: RunState | None = None
-    with noted():
+    with noted(), _alone(robot):
         try:
             check()
             run_state = RunState(robot, controller, reference, schedule, limits, on_cycle)
@@ -126,6 +126,24 @@ def run(
                 error.add_note(held)
             raise
         return run_state.recording()
+
+
+_MOVING = set[int]()
+"""Ids of the robots that move"""
+
+
+@contextmanager
+def _alone(robot: Robot) -> Iterator[None]:
+    """Refuse a second motion of a robot."""
+    while isinstance(robot, RobotWrapper):
+        robot = robot.robot
+    if id(robot) in _MOVING:
+        raise NotReadyError(f"{robot.address} is moved already by this program; end that motion first")
+    _MOVING.add(id(robot))
+    try:
+        yield
+    finally:
+        _MOVING.discard(id(robot))
 
 
 def brake(robot: Robot, last: Cycle) -> Cycle:

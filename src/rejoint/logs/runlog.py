@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -264,6 +265,19 @@ class RunLog:
                 raise InputError(
                     f"run log {self.label}: a {what} of {farthest:.4g} rad, beyond two turns; give radians"
                 )
+
+
+MOST_ALIKE = 16
+"""Logs of a group of `similar_in_length`; chosen"""
+
+
+def similar_in_length(logs: Sequence[RunLog]) -> list[Index]:
+    """Group logs by their indices: of a group, none lasts twice as long as another."""
+    lengths = np.array([log.duration for log in logs])
+    order = np.argsort(lengths)
+    doubled = np.diff(np.frexp(lengths[order])[1], prepend=0) != 0
+    begins = doubled | (np.arange(len(order)) % MOST_ALIKE == 0)
+    return np.split(order, np.flatnonzero(begins))[1:]
 
 
 def write_parquet(path: Path, table: pa.Table) -> None:

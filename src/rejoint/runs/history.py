@@ -18,6 +18,7 @@ from rejoint.logs.runfolder import RUNS
 from rejoint.pages.html import write_page
 from rejoint.runs.run import Run
 from rejoint.system.errors import FileError
+from rejoint.system.shell import command
 
 
 def owners(rows: Sequence[HistoryRow]) -> Callable[[HistoryRow], str]:
@@ -118,7 +119,8 @@ def summarise(run: Run) -> None:
     if kind == REPAIR:
         from rejoint.pages.report.page import check_again
 
-        use = f"Do: drive it with --run {run.path}, and check it: {check_again(run.folder, run.info)}"
+        drive = command("goto", run.info.name or run.robot, "X", "Y", "Z", "--run", run.path)
+        use = f"Do: {drive} and other motions use it; later {check_again(run.folder, run.info)}"
         arm = replace(arm, line=f"Before its repair: {arm.line} {use}")
     write_rows(path, [arm])
 

@@ -108,10 +108,14 @@ class Run(Readable):
             fleet=fleet,
         )
         run = cls(folder=folder, info=info, arm=arm)
-        kept = run.diagnosis  # of a run whose description is lost
-        if folder.path.is_dir() and not _empty(folder.path) and (kept is None or kept.robot != robot):
+        if folder.path.is_dir() and not _empty(folder.path) and not run._lost():
             raise InputError(f"{path} is not a run folder and not empty; give another --run")
         return run
+
+    def _lost(self) -> bool:
+        """Whether the folder is of a run of this robot and arm, whose description is lost."""
+        kept = self.diagnosis
+        return bool(kept and kept.robot == self.robot and not self.other_than(load_arm(self.folder.arm(kept.arm))))
 
     @classmethod
     def create(cls, path: Path | str, robot: str, arm: Arm, seed: int = 0) -> Run:

@@ -78,7 +78,7 @@ from rejoint.session.inputs import (
     period_of,
     settled,
 )
-from rejoint.system.errors import FileError, InputError, NotReachedError, NotReadyError, RejointError
+from rejoint.system.errors import FileError, InputError, NotReachedError, RejointError
 from rejoint.system.files import require_space
 from rejoint.system.numbers import as_seed
 from rejoint.system.progress import RateLimit
@@ -328,10 +328,6 @@ SURE = 3.0
 """Standard errors from which a load counts as noticed (chosen)"""
 
 
-_DRIVEN = set[int]()
-"""Ids of open robots that were given and are in use"""
-
-
 class ArmDriver:
     """An arm with everything that drives it; a session adds the motions."""
 
@@ -405,11 +401,6 @@ class ArmDriver:
             if isinstance(robot, str):
                 robot = open_robot(robot, arm=self.arm, seed=self.seed, period=self.period)
                 self._stack.callback(robot.close)
-            elif id(robot) in _DRIVEN:
-                raise NotReadyError(f"{robot.address} is driven already by this program; end that first")
-            else:
-                _DRIVEN.add(id(robot))
-                self._stack.callback(_DRIVEN.discard, id(robot))
             if robot.count != 1:
                 raise InputError(f"a session drives one arm, {robot.address} has {robot.count}")
             if self.settings.dry_run:

@@ -19,7 +19,7 @@ from rejoint.control.controllers.posture import OFF, PlannedWay, PostureControll
 from rejoint.control.correction import tool_error
 from rejoint.control.guard import GuardLimits, clear_by
 from rejoint.control.loop import Schedule
-from rejoint.control.recording import PIECE, Cycle, Observer, cycle_at_rest
+from rejoint.control.recording import PIECE, Cycle, Observer, cycle_at_rest, recording_of
 from rejoint.control.reference import Reference, TargetSequence, with_ways
 from rejoint.control.targets import Pose, in_mm, placed
 from rejoint.robots import is_virtual
@@ -251,8 +251,7 @@ class Session(ArmDriver):
         goal = as_floats(who, given, f"{self.arm.joints} joint positions in radians")
         if goal.shape != (self.arm.joints,) or not np.isfinite(goal).all():
             raise InputError(f"{who}: expected {self.arm.joints} joint positions in radians, got {given!r}")
-        beyond = np.maximum(self.arm.lower - goal, goal - self.arm.upper) * ~self.arm.endless
-        if beyond.max() > HALF_TURN:
+        if np.maximum(self.arm.lower - goal, goal - self.arm.upper).max() > HALF_TURN:
             raise InputError(f"{who}: joint positions {given!r} are far beyond the limits; give radians")
         return goal
 
@@ -435,10 +434,11 @@ class Session(ArmDriver):
                         self.stop()
                 finally:
                     self.recorder.end()
-                if self.rehearsal is not None:
+                driven = error is not None and recording_of(error) is not None
+                if self.rehearsal is not None and (error is None or driven):
                     self.observer.message(self.rehearsal.summary())
-                    if error is not None:  # a forecast: no order to the arm, and nothing that is kept
-                        error.__notes__ = ["So it would end in the simulation. Nothing moved or was recorded."]
+                if self.rehearsal is not None and error is not None and driven:  # a forecast, no order to the arm
+                    error.__notes__ = ["So it would end in the simulation. Nothing moved or was recorded."]
             finally:
                 self._stack.__exit__(kind, error, trace)
         if error is None and motion is not None:

@@ -22,7 +22,7 @@ from rejoint.diagnosis.metrics import COARSEST
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.consistency import PLAUSIBLE, find_lag
 from rejoint.logs.exclusions import Exclusions, find_exclusions, table_height
-from rejoint.logs.runlog import RunLog
+from rejoint.logs.runlog import RunLog, similar_in_length
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import Number, Positive, Table, read_toml
 from rejoint.system.records import value_type
@@ -42,8 +42,6 @@ from rejoint.twin.twin import (
 
 TIMESTEP = 0.010
 """[s]; measured: as good as a quarter of it"""
-LOCKSTEP = 16
-"""Logs of similar length simulated in lockstep; no effect on results"""
 
 
 @value_type
@@ -81,10 +79,8 @@ def predict_logs(arm: Arm, candidates: Sequence[Candidate], logs: Sequence[RunLo
         raise InputError(
             f"replay: twins called {', '.join(names[1:])}; give each a name of its own, other than {NO_TWIN!r}"
         )
-    order = np.argsort([log.duration for log in logs])
     found = [{NO_TWIN: in_force(log)} for log in logs]
-    for first in range(0, len(logs), LOCKSTEP):
-        alike = order[first : first + LOCKSTEP]
+    for alike in similar_in_length(logs):
         windows = [Window(log=logs[i], first=0, last=len(logs[i])) for i in alike]
         for c in candidates:
             replay = Replay(arm, windows, TIMESTEP, c.acceleration, c.gain)
