@@ -421,3 +421,11 @@ def test_a_path_is_stopped_on_its_way_and_what_cannot_be_followed_is_refused(run
         assert arm.followed is None
         end = arm.move_to(WAVE[0], within_m=0.004)
         assert end.time_s < 200.0, "ten times along a circle take longer"
+
+
+def test_a_robot_makes_one_motion_at_a_time():
+    robot = rejoint.open_robot("emulated:healthy")
+    with rejoint.connect(robot) as arm:
+        arm.hold()
+        with pytest.raises(rejoint.NotReadyError):
+            rejoint.deploy(robot, [HERE])

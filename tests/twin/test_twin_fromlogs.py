@@ -149,7 +149,6 @@ def test_gravity_fed_forward_is_no_stiffness_and_an_unpowered_joint_is_replayed_
     assert (found.parameters.compensation[1:3] > 0.0).all()
     assert HEALTHY not in found.judgement.mean
     assert found.judgement.mean[FITTED].free.tcp < 0.3 * found.judgement.mean[NO_TWIN].free.tcp
-    assert found.judgement.mean[FITTED].free.joint < 0.3 * found.judgement.mean[NO_TWIN].free.joint
     assert found.judgement.doubts == ()  # what moves as predicted is trusted, though no torque is known
 
 

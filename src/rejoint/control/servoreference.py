@@ -23,7 +23,7 @@ def move(position, velocity, goal, reach, acceleration, elapsed):
     By at most ``reach`` [rad], or, with a finite ``acceleration`` [rad/s^2], as fast as that allows.
     """
     away = goal - position
-    if acceleration == np.inf:
+    if acceleration == np.inf or (away == 0.0 and velocity == 0.0):
         return position + min(max(away, -reach), reach), velocity
     direction = 1.0 if away >= 0.5 * velocity * abs(velocity) / acceleration else -1.0
     away, start = direction * away, direction * velocity
