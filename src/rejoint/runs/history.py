@@ -120,7 +120,7 @@ def summarise(run: Run) -> None:
         from rejoint.pages.report.page import check_again
 
         drive = command("goto", run.info.name or run.robot, "X", "Y", "Z", "--run", run.path)
-        use = f"Do: {drive} and other motions use it; later {check_again(run.folder, run.info)}"
+        use = f"Do: {drive} uses it; check it later: {check_again(run.folder, run.info)}"
         arm = replace(arm, line=f"Before its repair: {arm.line} {use}")
     write_rows(path, [arm])
 
