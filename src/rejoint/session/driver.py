@@ -219,7 +219,8 @@ class RehearsedRobot(WatchedRobot):
         low, high = period or PERIOD
         draw = replace(Draw.of(own.repeat(1), limit), period=np.array([(low + high) / 2]))
         jitter = (high - low) / (high + low)
-        simulated = TwinRobot(arm, draw, seed=0, jitter=jitter, posture=start, address=robot.address)
+        own_address = f"simulation of {robot.address}"  # it is no run's own: its friction is not the measured one
+        simulated = TwinRobot(arm, draw, seed=0, jitter=jitter, posture=start, address=own_address)
         super().__init__(simulated, lambda state, _: self._positions.append(state.position[0].copy()))
         self._calibration, self._positions = calibration, [start.copy()]
         servos = part_of(robot, Tunable)
@@ -406,8 +407,7 @@ class ArmDriver:
             if self.settings.dry_run:
                 robot = self.rehearsal = RehearsedRobot(robot, self.twin, self.period, self.calibration)
             self._stack.enter_context(self._gains)
-            # a simulated joint is never held, and its friction is not known so well
-            self._base = guard_limits(None if self.rehearsal else self.run, self.arm, self.address)
+            self._base = guard_limits(self.run, self.arm, robot.address)
             self.limits = limits_under(self._base, robot, None)
             pace, paced = self._pace, None if self._pace is None else False
             if pace is not None and (self.rehearsal is not None or virtual):

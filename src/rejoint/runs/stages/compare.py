@@ -28,7 +28,7 @@ from rejoint.control.controllers.classical import DefaultController
 from rejoint.control.controllers.policy import Policy
 from rejoint.control.correction import ToolModel
 from rejoint.control.recording import Observer, Recording, cycle_at_rest, pacing
-from rejoint.control.robot import JointState, Robot, RobotWrapper
+from rejoint.control.robot import JointState, Robot
 from rejoint.control.targets import in_mm
 from rejoint.logs.history import setup_of
 from rejoint.logs.runlog import RunLog
@@ -147,8 +147,7 @@ class ComparisonJob:
 
     def runner(self, factories: Mapping[str, Factory], opened: OpenRobot | None = None, **hooks: Any) -> TrialRunner:  # noqa: ANN401
         """Runner of the trials of some controllers; ``hooks`` are further fields of it."""
-        told = None if isinstance(self.robot, RobotWrapper) else self.run  # a simulated joint is never held
-        limits = guard_limits(told, self.arm, address_of(self.robot))  # not sent: compiled code asks for read-only
+        limits = guard_limits(self.run, self.arm, address_of(self.robot))  # not sent: compiled code asks for read-only
         return TrialRunner(
             opened or self._open, factories, self.targets, self.settings, limits=limits, **self.trials, **hooks
         )
