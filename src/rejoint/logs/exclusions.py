@@ -183,11 +183,12 @@ def powered(arm: Arm, logs: Sequence[RunLog]) -> list[RunLog]:
             found.append(replace(piece, label=label))
     if not found:
         raise InputError(f"{logs[0].label}: no row in which all joints have torque")
-    # in one log, few goals agree by chance
-    alive = [(np.ptp(log.command, axis=0) >= ASKED) & ~_silent([log], ANSWERING) for log in found]
-    names = list(compress(logs[0].joint_names, _silent(found) & ~np.any(alive, axis=0)))
-    if not names:
+    silent = _silent(found)
+    for log in found if silent.any() else ():  # in one log, few goals agree by chance
+        silent &= (np.ptp(log.command, axis=0) < ASKED) | _silent([log], ANSWERING)
+    if not silent.any():
         return found
+    names = list(compress(logs[0].joint_names, silent))
     known = [",".join([*names, log.extra.get(UNPOWERED, "")]) for log in found]
     return [replace(log, extra=log.extra | {UNPOWERED: one}) for log, one in zip(found, known, strict=True)]
 
