@@ -334,7 +334,7 @@ def mirrored_pulls(data: ExcitationLog, mirrors: Array) -> Array:
 
 def _faded(data: ExcitationLog, joint: int, time: Array) -> Array:
     """Gravity's torque (N,) at ``time`` (N,) that an integral term has not taken over."""
-    grid, keeps = np.arange(data.log.time[0], data.log.time[-1], _GRID), np.exp(-_GRID / FADE)
+    grid, keeps = np.arange(data.log.time[0], data.log.time[-1], 0.01 * FADE), np.exp(-0.01)
     pull = np.interp(grid, data.log.time, data.gravity[:, joint])
     taken = signal.lfilter([1.0 - keeps], [1.0, -keeps], pull, zi=keeps * pull[:1])[0]
     return np.interp(time, grid, pull - taken)
