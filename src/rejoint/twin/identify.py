@@ -65,7 +65,6 @@ from rejoint.twin.structure import (
     Structure,
     decide_compensation,
     drive_torque,
-    explains,
     explored,
     find_acceleration,
     find_structure,
@@ -178,7 +177,7 @@ def identify(
     on_progress(0.9, "intervals")
     held_out = _held_out_windows(replace(fine.replay, windows=unseen), found.vector)
     clusters = np.unique(fine.window + 1j * (fine.replay.time // CLUSTER), return_inverse=True)[1]
-    twin = fitted_twin(fine, found, logs, clusters, held_out, doubted=doubt)
+    twin = fitted_twin(fine, found, uncertainty(fine, found, clusters), logs, held_out, doubted=doubt)
     return replace(twin, notes=(*twin.notes, *[UNTRUSTED] * (not held_out.trusted), *filter(None, [doubt])))
 
 
@@ -197,19 +196,19 @@ def _held_out_windows(replay: Replay, vector: Array) -> HeldOut:
 def fitted_twin(
     problem: Problem,
     found: Fit,
+    covariance: Array,
     logs: Sequence[RunLog],
-    clusters: Index,
     held_out: HeldOut,
     table: TablePlane | None = None,
     *,
     doubted: str | bool = False,
 ) -> Twin:
-    """Assemble a twin with its intervals by ``clusters`` (rows,); the torques seen in all ``logs`` bound it.
+    """Assemble a twin with its intervals by ``covariance`` (k, k); the torques seen in all ``logs`` bound it.
 
     Where the sag is ``doubted``, as without known zeros, only `SAGLESS` ones are identified.
     """
     replay, belief, at = problem.replay, problem.prior, problem.layout.at
-    covariance, unreached = uncertainty(problem, found, clusters), ~limited(problem, found.vector)
+    unreached = ~limited(problem, found.vector)
     place, vector = at("torque_limit"), found.vector.copy()
     vector[place] = np.where(unreached, belief.upper[place], vector[place])
     parameters = unpack(vector)
@@ -304,34 +303,35 @@ def identify_logs(
     seen, unseen = part(arm, logs, settings.hold_out, settings.seed)
     height = table_height(arm, seen)
     motions = Motions(arm, seen, settings, height, gain)
-    on_progress(0.0, "search")
-    structure, start = motions.find_structure(on_progress)
-    on_progress(0.5, "fit")
-    structure, problem, found = motions.choose(structure, start)
-    table = motions.fit_table(problem, found)
-    on_progress(0.7, "held-out motions")
-    own = Candidate(
-        name=FITTED,
-        parameters=unpack(found.vector),
-        table=table,
-        acceleration=structure.acceleration,
-    )
+    every = replace(motions, logs=sorted(logs, key=lambda log: log.label))
     healthy = [Candidate(name=HEALTHY, parameters=healthy_parameters(arm))] if is_hobby(arm) else []
-    judged = [replace(one, gain=gain) if one.gain is None else one for one in (own, *healthy, *beside)]
+
+    def judged(problem: Problem, found: Fit) -> tuple[TablePlane | None, Judgement]:
+        table = motions.fit_table(problem, found)
+        values, acceleration = unpack(found.vector), problem.replay.acceleration
+        own = Candidate(name=FITTED, parameters=values, table=table, acceleration=acceleration)
+        compared = [replace(one, gain=gain) if one.gain is None else one for one in (own, *healthy, *beside)]
+        return table, judge(arm, predict_logs(arm, compared, unseen), unseen, table=height)
+
     with ThreadPoolExecutor(1) as pool:
-        judging = pool.submit(lambda: judge(arm, predict_logs(arm, judged, unseen), unseen, table=height))
-        on_progress(0.8, "all motions")
+        doubting = pool.submit(lambda: sag_doubt(every.data))
+        on_progress(0.0, "search")
+        structure, start = motions.find_structure(on_progress)
+        on_progress(0.5, "fit")
+        structure, problem, found = motions.choose(structure, start)
+        judging = pool.submit(judged, problem, found)
+        on_progress(0.8, "held-out and all motions")
         note, missing = UNJUDGED, [UNJUDGED]
         if settings.hold_out != ():
             alike = bool(np.mean(np.concatenate(repeated(unseen, seen))) > MOSTLY)
             note, missing = REFITTED, [REPEATED] * alike
-            motions = replace(motions, logs=sorted(logs, key=lambda log: log.label))
-            problem, found = motions.settle(replace(structure, belief=motions.belief), found.vector)
-        doubt = sag_doubt(motions.data)
-        judgement = judging.result()
-    on_progress(0.9, "intervals")
-    doubted, clusters = doubt or ZEROS in motions.data.log.extra, independent(problem)
-    twin = fitted_twin(problem, found, motions.logs, clusters, _held_out(judgement), table, doubted=doubted)
+            belief = replace(every.belief, lower=structure.belief.lower)  # of the delay, as decided
+            problem, found = every.settle(replace(structure, belief=belief), found.vector)
+        on_progress(0.9, "intervals")
+        covariance = uncertainty(problem, found, independent(problem))
+        doubt, (table, judgement) = doubting.result(), judging.result()
+    doubted = doubt or ZEROS in every.data.log.extra
+    twin = fitted_twin(problem, found, covariance, every.logs, _held_out(judgement), table, doubted=doubted)
     return replace(
         twin,
         gain=gain,
@@ -405,16 +405,10 @@ class Motions:
         return sorted({*windows, *self.far}, key=self.windows.index)
 
     def settle(self, structure: Structure, start: Array) -> tuple[Problem, Fit]:
-        """Fit windows from all logs, from ``start`` (k,); the delay is below zero only with evidence."""
-        every = self.chosen(thin(self.windows, self.settings.fit_seconds))
-        problem, belief = self.problem(every, structure, stride=1.0), structure.belief
-        found = fit(problem, np.where(problem.layout.is_fitted, start, problem.prior.mean), REFINEMENT, SCALES)
-        if unpack(found.vector).delay >= 0.0:
-            return problem, found
-        lower = np.where(belief.layout.kind == number("delay"), 0.0, belief.lower)
-        rival = self.problem(every, replace(structure, belief=replace(belief, lower=lower)), stride=1.0)
-        other = fit(rival, found.vector, REFINEMENT, SCALES)
-        return (problem, found) if explains(problem, found.vector, other.vector) else (rival, other)
+        """Fit windows from all logs, from ``start`` (k,)."""
+        problem = self.problem(self.chosen(thin(self.windows, self.settings.fit_seconds)), structure, stride=1.0)
+        start = np.where(problem.layout.is_fitted, start, problem.prior.mean)
+        return problem, fit(problem, start, REFINEMENT, SCALES)
 
     def choose(self, structure: Structure, start: Array) -> tuple[Structure, Problem, Fit]:
         """Settle without and with `TOGETHER`; keep those where windows that neither fit has seen are predicted better.
