@@ -29,7 +29,7 @@ def test_batch_equals_single_models_bit_for_bit():
     start = ARM.rest + rng.normal(0, 0.1, (count, ARM.joints))
     control = start[:, None] + np.cumsum(rng.normal(0, 0.02, (count, steps, ARM.joints)), axis=1)
 
-    batch = TableBatch(ARM, parameters, timestep=timestep, threads=2)
+    batch = TableBatch(ARM, parameters, timestep=timestep)
     batch._batch.expand("opt.gravity")[:] *= gravity[:, None]
     batch.restart(start)
     batch.rollout(control)

@@ -160,7 +160,7 @@ class Replay:
         if tables:
             from rejoint.twin.table import TableBatch  # late: free arms need no MuJoCo
 
-            twins = TableBatch(self.arm, arms, [tables[i] for i in which], self.timestep, THREADS)
+            twins = TableBatch(self.arm, arms, [tables[i] for i in which], self.timestep)
         else:
             twins = self._batches.get(m) or ChainBatch(self.arm, m * count, self.timestep, THREADS)
             self._batches[m] = twins

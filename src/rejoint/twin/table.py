@@ -47,13 +47,12 @@ class TableBatch:
         twins: TwinParameters,
         tables: Sequence[TablePlane] = (),
         timestep: float | Array = TIMESTEP,
-        threads: int = 1,
     ) -> None:
         """Take the parameters (m,), m tables or none, and time steps [s], a number or (m,)."""
         count = twins.shape[0]
         self._terms = friction_terms(twins)
         steps = np.broadcast_to(timestep, twins.shape).astype(float)
-        self._batch = Batch(twin_spec(arm, table=bool(tables)).compile(), nsim=count, nthread=threads)
+        self._batch = Batch(twin_spec(arm, table=bool(tables)).compile(), nsim=count)
         self.qpos: Array = self._batch.bind("qpos")
         self.qvel: Array = self._batch.bind("qvel")
         self._ctrl: Array = self._batch.bind("ctrl")
