@@ -346,12 +346,17 @@ def _central_differences(problem: Problem, x: Array) -> tuple[Array, Array]:
     return base, central
 
 
+GAIN = 0.02
+"""Least gain of a limit that shows, and first gain of one that is tried; chosen"""
+
+
 def limiting(problem: Problem, x: Array) -> Mask:
-    """(n,) whether each joint is explained, and worse without its torque limit in ``x`` (k,)."""
-    unlimited = np.where(problem.layout.kind == TORQUE_LIMIT, problem.prior.upper, x)
-    residuals = problem.residuals(np.array([x, unlimited]))
-    losses = loss(residuals).sum(axis=1)
-    return explained(residuals[0]) & (losses[0] < (1.0 - LIMIT_GAIN) * losses[1])
+    """(n,) whether each joint's motion is explained worse without its torque limit in ``x`` (k,)."""
+    place = problem.layout.at("torque_limit")
+    lifted = np.tile(x, (problem.joints, 1))
+    np.fill_diagonal(lifted[:, place], problem.prior.upper[place])
+    losses = loss(problem.residuals(np.vstack([x, lifted]))).sum(axis=1)
+    return (1.0 - GAIN) * np.diag(losses[1:]) > losses[0]
 
 
 COMMON = 0.10

@@ -31,7 +31,7 @@ from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
 from rejoint.system.records import value_type
 from rejoint.system.statistics import NORMAL95
-from rejoint.twin.fit import CLUSTER, SCALES, Fit, Problem, explained, fit, uncertainty
+from rejoint.twin.fit import CLUSTER, SCALES, Fit, Problem, explained, fit, limiting, uncertainty
 from rejoint.twin.judge import TIMESTEP, Candidate, judge, predict_logs
 from rejoint.twin.parameters import (
     LEAST_FED,
@@ -68,7 +68,6 @@ from rejoint.twin.structure import (
     explored,
     find_acceleration,
     find_structure,
-    limited,
     rough_fit,
     with_both,
     with_limit,
@@ -208,7 +207,7 @@ def fitted_twin(
     Where the sag is ``doubted``, as without known zeros, only `SAGLESS` ones are identified.
     """
     replay, belief, at = problem.replay, problem.prior, problem.layout.at
-    unreached = ~limited(problem, found.vector)
+    unreached = ~limiting(problem, found.vector)
     place, vector = at("torque_limit"), found.vector.copy()
     vector[place] = np.where(unreached, belief.upper[place], vector[place])
     parameters = unpack(vector)

@@ -10,7 +10,7 @@ from rejoint.diagnosis.measurement import sags
 from rejoint.diagnosis.regression import fit_believed
 from rejoint.diagnosis.segments import ExcitationLog
 from rejoint.system.records import entity
-from rejoint.twin.fit import LIMIT_GAIN, SCALES, Problem, fit, line_up, loss, search
+from rejoint.twin.fit import GAIN, LIMIT_GAIN, SCALES, Problem, fit, line_up, loss, search
 from rejoint.twin.parameters import LEAST_FED, Prior, is_hobby, number, unknown_prior, unpack
 
 LIMITS = ("torque_limit", "ramp_speed")
@@ -33,8 +33,6 @@ EARLIER = 0.01
 
 SHOWN = 1.0
 """Widest interval of a share of gravity that a sag shows; chosen"""
-GAIN = 0.02
-"""Least first gain of a limit; chosen"""
 EARLY_GAIN = 0.05
 """Relative gain of a delay below zero; chosen: a wrong one gains 3 %, right ones 7 % and more"""
 
@@ -228,15 +226,6 @@ def with_both(problem: Problem, x: Array) -> Array:
     y[problem.layout.at("torque_limit")] = np.log(_TORQUES[1] * drive_torque(problem, x))
     y[problem.layout.at("load_friction")] = _SHARES
     return y
-
-
-def limited(problem: Problem, x: Array) -> Mask:
-    """Joints (n,) whose motion is explained worse without their torque limit."""
-    place = problem.layout.at("torque_limit")
-    lifted = np.tile(x, (problem.joints, 1))
-    np.fill_diagonal(lifted[:, place], problem.prior.upper[place])
-    losses = loss(problem.residuals(np.vstack([x, lifted]))).sum(axis=1)
-    return (1.0 - GAIN) * np.diag(losses[1:]) > losses[0]
 
 
 def drive_torque(problem: Problem, x: Array, share: float = SELDOM) -> Array:
