@@ -239,7 +239,8 @@ def fitted_twin(
     identified[at("damping")] &= ~found.at_bound[at("delay")]
     lower = unpack(belief.lower)
     # a limit that no motion reaches is anything above what was shown
-    raised = np.maximum(held, unreached * drive_torque(problem, vector, OFTEN))
+    shown = drive_torque(problem, vector, OFTEN, damping=float(not is_hobby(replay.arm)))  # others may limit the sum
+    raised = np.maximum(held, unreached * shown)
     raised = np.clip(raised, lower.torque_limit, 0.99 * limit)
     covariance[place, place] += np.diag((unreached | problem.frozen[place]) * (np.log(limit / raised) / NORMAL95) ** 2)
     twin = Twin(

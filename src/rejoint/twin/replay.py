@@ -125,6 +125,11 @@ class Replay:
         """(rows, n) [rad] commands in force."""
         return self._rows(in_force)
 
+    @cached_property
+    def speed(self) -> Array:
+        """(rows, n) [rad/s] of the measured positions."""
+        return self._rows(lambda log: velocity(log.time, log.position, VELOCITY))
+
     def _rows(self, values: Callable[[RunLog], Array]) -> Array:
         """Rows of all windows of a log's ``values`` (T, ...)."""
         return np.concatenate([values(w.log)[w.first : w.last] for w in self.windows])

@@ -228,10 +228,11 @@ def with_both(problem: Problem, x: Array) -> Array:
     return y
 
 
-def drive_torque(problem: Problem, x: Array, share: float = SELDOM) -> Array:
-    """(n,) [N m] servo torque without limit, exceeded in a ``share`` of the rows."""
+def drive_torque(problem: Problem, x: Array, share: float = SELDOM, damping: float = 0.0) -> Array:
+    """(n,) [N m] servo torque without limit, exceeded in a ``share`` of the rows; ``damping``: its part within."""
     parameters = unpack(x)
     lead = problem.replay.references(parameters) + parameters.offset - problem.measured
+    lead -= damping * parameters.damping / parameters.stiffness * problem.replay.speed
     lead = np.minimum(np.abs(lead), np.abs(lead - problem.residuals(x[None])[0]))
     return np.quantile(parameters.stiffness * np.maximum(lead, problem.floor), 1.0 - share, axis=0)
 
