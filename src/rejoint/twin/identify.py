@@ -86,6 +86,9 @@ SCALE = ("stiffness", "damping", "coulomb", "armature")
 SAGLESS = ("delay", "ramp_speed")
 """Parameters that no sag tells"""
 
+FAR_OFF = 0.15
+"""[rad] rms distance from commands of a joint that may be soft, or too weak; chosen"""
+
 LIGHT_SAG = 1e-3
 """[rad] sag of a joint whose offset shows without its stiffness; chosen"""
 
@@ -216,8 +219,9 @@ def fitted_twin(
     sagless = np.isin(belief.layout.kind, [number(name) for name in SAGLESS])
     identified = (narrowing < IDENTIFIED) & ~found.at_bound & ~problem.frozen & (sagless | (not doubted))
     silent = problem.powered.sum(axis=0) == 0
-    residual = problem.residuals(vector[None])[0]
-    worse = (residual**2 - (replay.commands - replay.measured) ** 2).sum(axis=0) > 0.0  # than the command alone
+    residual, off = problem.residuals(vector[None])[0], ((replay.commands - replay.measured) ** 2).mean(axis=0)
+    worse = (residual**2).mean(axis=0) > off  # than the command alone
+    worse |= (off > FAR_OFF**2) & unreached & (not is_hobby(replay.arm))  # soft or too weak; of others priors tell
     together = sum(told[at(name)] ** -2 for name in SCALE) ** -0.5  # of their scale, by all priors without data
     mute, vague = (
         np.append(one, False)[problem.owner]
