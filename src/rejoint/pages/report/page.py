@@ -115,6 +115,8 @@ class BeforeAfter:
         if before.encoders is None or after.encoders is None:
             return ""
         start = f"Before: {1e3 * before.encoders:.1f} mm off (encoders)"
+        if self.controller == DefaultController.name:
+            return f"{start}. No controller that was tried does measurably better than its own."
         end = f"After, with '{self.controller}': {1e3 * after.encoders:.2f} mm (encoders)"
         if before.tool.value is None and after.tool.value is None:
             return f"{start}. {end}. The tool itself: {after.tool}."
@@ -185,9 +187,9 @@ class Contents:
         return MeanErrors(encoders=encoders, tool=tool if found.tool.value is None else found.tool)
 
     def next_steps(self) -> dict[str, str]:
-        """Commands for a repaired arm by what they are for; none before a comparison on a robot."""
+        """Commands for a repaired arm by what they are for; none before a robot reached targets in a comparison."""
         run, robot = self.folder.path, self.info.robot
-        if self.comparison is None or self.info.from_logs:
+        if self.comparison is None or self.info.from_logs or not any(row.reached for row in self.comparison.rows):
             return {}
         middle = (f"{value:.0f}" for value in 1e3 * self.arm.targets.middle)
         steps = {
