@@ -4,19 +4,20 @@ import torch
 
 from rejoint.arms import mycobot280
 from rejoint.control.controllers.policy import load_policy
-from rejoint.training.train import policy_graph
-from rejoint_lab.research.offpolicy import SquashedActor, train_offpolicy
+from rejoint.training.train import TrainingOptions, policy_graph, train
+from rejoint_lab.research.offpolicy import RECIPE, SacLearner, SquashedActor
 
 ARM = mycobot280()
 
 
 def test_it_leaves_a_policy_that_loads(tmp_path):
     gains = {"p": (32,) * 6}
-    result = train_offpolicy(ARM, None, tmp_path, servo_gains=gains, cycles=36, agents=8, seed=3)
+    given = {"preset": RECIPE, "learner": SacLearner, "agents": 8, "iterations": 2}
+    result = train(ARM, None, out=tmp_path, options=TrainingOptions(**given, servo_gains=gains, seed=3))
     controller = load_policy(result.policy, ARM)
     contract = controller.contract
     assert (contract.preset, contract.seed, contract.servo_gains) == ("sac", 3, gains)
-    assert result.steps == 36 * 8
+    assert result.steps == 2 * 32 * 8
     assert np.isfinite(result.reward)
 
 

@@ -161,12 +161,8 @@ def stacked(cycles: Sequence[Rollout]) -> Rollout:
     return {name: torch.stack([cycle[name] for cycle in cycles]) for name in cycles[0]}
 
 
-PRECISION = "medium"
-"""Of matrix products in PPO: bfloat16 factors, float32 sums; chosen for speed"""
-
-
 @contextmanager
-def on_one_thread(precision: str = "highest") -> Iterator[None]:
+def on_one_thread(precision: str) -> Iterator[None]:
     """Let torch multiply with this ``precision`` on one thread; chosen: more are slower beside other programs."""
     threads, usual = torch.get_num_threads(), torch.get_float32_matmul_precision()
     torch.set_num_threads(1)
@@ -203,58 +199,61 @@ class CurvePoint:
     """without pauses"""
 
 
-def next_point(
-    seen: Rollout, curve: Sequence[CurvePoint], *, noise: float, seconds: float, ends_on_success: bool = False
-) -> CurvePoint:
-    """State after the control cycles ``seen``, which took ``seconds`` since the last point of the ``curve``.
-
-    Where no target ended, its success and error are those of before.
-    """
-    last = curve[-1] if curve else CurvePoint()
-    ended = seen["terminated"] | seen["truncated"]
-    distance = seen["distance"][ended].numpy()
-    success = seen["terminated"][ended].numpy() if ends_on_success else distance < REACHED_DISTANCE
-    return CurvePoint(
-        step=last.step + seen["reward"].numel(),
-        reward=float(seen["reward"].float().mean()),
-        success_rate=float(success.mean()) if len(distance) else last.success_rate,
-        error_mm=1e3 * float(np.median(distance)) if len(distance) else last.error_mm,
-        noise=noise,
-        wall_s=last.wall_s + seconds,
-    )
-
-
 class Learner:
     """Networks, algorithm and agents of one training."""
+
+    precision = "medium"
+    """of matrix products: bfloat16 factors, float32 sums; chosen for speed"""
 
     def __init__(self, task: ReachTask, settings: PpoSettings, *, seed: int, start: Tensor | None = None) -> None:
         """Begin with the actor's weights ``start``, else with random ones."""
         torch.manual_seed(seed)
-        size, joints = task.observer.size, task.arm.joints
-        self.settings = settings
+        self.task, self.settings, self.curve = task, settings, list[CurvePoint]()
+        self._seen = dict(zip(("observation", "privileged"), map(torch.from_numpy, task.reset()), strict=True))
+        self._make_networks(seed, start)
+
+    def _make_networks(self, seed: int, start: Tensor | None) -> None:
+        size, joints, settings = self.task.observer.size, self.task.arm.joints, self.settings
         self.actor = Actor(size, joints, settings.actor_layers, settings.log_std)
         if start is not None:
             torch.nn.utils.vector_to_parameters(start, self.actor.net.parameters())
-        self.critic = Critic(size, task.privileged_size, joints, settings.critic_layers)
-        self.task, self._exploration = task, torch.Generator().manual_seed(seed)
-        self._seen = dict(zip(("observation", "privileged"), map(torch.from_numpy, task.reset()), strict=True))
-        self.ppo = Ppo(self.actor, self.critic, settings, agents=task.agents)
-        self.curve: list[CurvePoint] = []
+        self.critic = Critic(size, self.task.privileged_size, joints, settings.critic_layers)
+        self._exploration = torch.Generator().manual_seed(seed)
+        self.ppo = Ppo(self.actor, self.critic, settings, agents=self.task.agents)
+
+    @property
+    def network(self) -> nn.Sequential:
+        """The mean policy."""
+        return self.actor.net
 
     def iterate(self) -> CurvePoint:
-        """Run one rollout and one update."""
-        start, s, done = time.perf_counter(), self.settings, len(self.curve)
-        self.actor.ceiling = float(np.interp(done, (0.0, max(CEILING_FALLS * s.iterations, 1.0)), s.log_std_ceiling))
-        rate = float(np.interp(done, (0, max(s.iterations - 1, 1)), (s.learning_rate, s.final_learning_rate)))
-        with on_one_thread(PRECISION):
-            rollout = self.roll()
-            self.actor.requires_grad_(done >= s.critic_first)
-            self.ppo.learn(rollout, rate)
-        noise, seconds = self.actor.log_std.exp().mean().item(), time.perf_counter() - start
-        ends_on_success = self.task.ends_on_success
-        point = next_point(rollout, self.curve, noise=noise, seconds=seconds, ends_on_success=ends_on_success)
+        """Run one rollout and one update; where no target ended, success and error are those of before."""
+        start, last = time.perf_counter(), self.curve[-1] if self.curve else CurvePoint()
+        with on_one_thread(self.precision):
+            seen, noise = self.learn()
+        ended = seen["terminated"] | seen["truncated"]
+        distance = seen["distance"][ended].numpy()
+        success = seen["terminated"][ended].numpy() if self.task.ends_on_success else distance < REACHED_DISTANCE
+        point = CurvePoint(
+            step=last.step + seen["reward"].numel(),
+            reward=float(seen["reward"].float().mean()),
+            success_rate=float(success.mean()) if len(distance) else last.success_rate,
+            error_mm=1e3 * float(np.median(distance)) if len(distance) else last.error_mm,
+            noise=noise,
+            wall_s=last.wall_s + time.perf_counter() - start,
+        )
         self.curve.append(point)
         return point
+
+    def learn(self) -> tuple[Rollout, float]:
+        """Run one rollout and one update; returns what was seen, and the mean sigma of the noise."""
+        s, done = self.settings, len(self.curve)
+        self.actor.ceiling = float(np.interp(done, (0.0, max(CEILING_FALLS * s.iterations, 1.0)), s.log_std_ceiling))
+        rate = float(np.interp(done, (0, max(s.iterations - 1, 1)), (s.learning_rate, s.final_learning_rate)))
+        rollout = self.roll()
+        self.actor.requires_grad_(done >= s.critic_first)
+        self.ppo.learn(rollout, rate)
+        return rollout, self.actor.log_std.exp().mean().item()
 
     @torch.no_grad()
     def roll(self) -> Rollout:

@@ -123,11 +123,10 @@ class ReachTask:
         settings: TaskSettings,
         *,
         seed: int,
-        threads: int = 1,
     ) -> None:
         n = arm.joints
         self.arm, self.ranges, self.settings, self.agents = arm, ranges, settings, agents
-        self.simulation = Simulation(arm, agents, threads=threads)
+        self.simulation = Simulation(arm, agents)
         self.observer = Observer(arm, agents, settings.layout)
         law = settings.law  # exploring arms are never stuck for long
         law = replace(law, loosen=0.0, authority_floor=max(law.authority_floor, EXPLORED * law.authority_slope))

@@ -69,6 +69,8 @@ class TrainingOptions:
     """arms to train on; default: by the twin, else broad ones"""
     start: Tensor | None = None
     """weights of the actor; default: those of the generic policy with a twin, else random"""
+    learner: type[Learner] = Learner
+    """the algorithm; default: PPO"""
 
     @property
     def recipe(self) -> Preset:
@@ -123,10 +125,23 @@ def train(
     contract = policy_contract(arm, twin, recipe, options.seed, options.servo_gains)
     for done in range(total):
         if options.snapshot_every and done % options.snapshot_every == 0:
-            export_policy(files.snapshot(done), learner.actor.net, contract)
+            export_policy(files.snapshot(done), learner.network, contract)
         point = learner.iterate()
-        on_progress((done + 1) / total, describe(point))
-    return finish_training(files, learner.actor.net, contract, learner.curve)
+        success, error = f"success {100 * point.success_rate:.0f} %", f"error {point.error_mm:.2f} mm"
+        on_progress((done + 1) / total, f"{success}, {error}, reward {point.reward:.2f}")
+    write_curves(files.curves, learner.curve)
+    export_policy(files.policy, learner.network, contract)
+    recent = learner.curve[-5:]  # chosen: the targets that end within a few updates are enough for a percent
+    names = ("success_rate", "error_mm", "reward")
+    return TrainingResult(
+        policy=files.policy,
+        curves=files.curves,
+        preset=recipe.name,
+        seed=options.seed,
+        steps=point.step,
+        wall_s=point.wall_s,
+        **{name: float(np.mean([getattr(point, name) for point in recent])) for name in names},
+    )
 
 
 def write_curves(path: Path, curve: Sequence[CurvePoint]) -> None:
@@ -140,7 +155,7 @@ def make_learner(
     """Set up the learner."""
     ranges, agents = options.ranges or training_ranges(arm, twin), recipe.ppo.agents
     task = recipe.make(arm, ranges, agents, recipe.task, seed=options.seed)
-    return Learner(task, recipe.ppo, seed=options.seed, start=start)
+    return options.learner(task, recipe.ppo, seed=options.seed, start=start)
 
 
 def know_stiffness(recipe: Preset, arm: Arm, twin: Twin | None) -> Preset:
@@ -187,30 +202,6 @@ def policy_contract(
         seed=seed,
         software=__version__,
         servo_gains=None if servo_gains is None else dict(servo_gains),
-    )
-
-
-def describe(point: CurvePoint) -> str:
-    """Describe the state of a training."""
-    return f"success {100 * point.success_rate:.0f} %, error {point.error_mm:.2f} mm, reward {point.reward:.2f}"
-
-
-def finish_training(
-    files: RunFolder, network: nn.Sequential, contract: PolicyContract, curve: Sequence[CurvePoint]
-) -> TrainingResult:
-    """Write the policy of a ``network`` and its curves; sums up the training by its last updates."""
-    write_curves(files.curves, curve)
-    export_policy(files.policy, network, contract)
-    recent = curve[-5:]  # chosen: the targets that end within a few updates are enough for a percent
-    names = ("success_rate", "error_mm", "reward")
-    return TrainingResult(
-        policy=files.policy,
-        curves=files.curves,
-        preset=contract.preset,
-        seed=contract.seed,
-        steps=curve[-1].step,
-        wall_s=curve[-1].wall_s,
-        **{name: float(np.mean([getattr(point, name) for point in recent])) for name in names},
     )
 
 

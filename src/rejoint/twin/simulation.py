@@ -137,10 +137,10 @@ SUBSTEPS = 6
 class Simulation:
     """``count`` arms of one build, with live ``twins`` and ``time``."""
 
-    def __init__(self, arm: Arm, count: int, *, threads: int = 1, substeps: int = SUBSTEPS) -> None:
+    def __init__(self, arm: Arm, count: int, *, substeps: int = SUBSTEPS) -> None:
         n = arm.joints
         self.arm, self.substeps = arm, substeps
-        self.twins = ChainBatch(arm, count, threads=threads)
+        self.twins = ChainBatch(arm, count)
         self.latency = Latency(count, n, substeps)
         self.reference = LiveReference(count, n)
         self.time = np.zeros(count)

@@ -1,9 +1,7 @@
 """SAC by skrl on the task of PPO, with privileged critics (Haarnoja et al. 2018, arXiv:1812.05905)."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,34 +16,12 @@ from torch.distributions.transforms import TanhTransform
 
 from rejoint.arms import Arm
 from rejoint.control.servogains import ServoGains
-from rejoint.logs.runfolder import RunFolder
-from rejoint.system.progress import Progress, no_progress
-from rejoint.training.learner import (
-    LAST_LAYER_SCALE,
-    Critic,
-    CurvePoint,
-    Rollout,
-    next_point,
-    on_one_thread,
-    perceptron,
-    stacked,
-    step,
-)
-from rejoint.training.ranges import training_ranges
+from rejoint.system.progress import Progress
+from rejoint.training.learner import LAST_LAYER_SCALE, Critic, Learner, Rollout, perceptron, stacked, step
 from rejoint.training.task import DEFAULT, ReachTask
-from rejoint.training.train import (
-    Trainer,
-    TrainingResult,
-    describe,
-    finish_training,
-    know_stiffness,
-    policy_contract,
-)
+from rejoint.training.train import Trainer, TrainingOptions, TrainingResult, train
 from rejoint.twin.twin import Twin
 
-CYCLES, AGENTS = 3840, 512
-"""Two million transitions; chosen"""
-_REPORT_EVERY = 32  # control cycles
 _LOG_STD = (-5.0, 0.5)  # bounds of the noise, before squashing (chosen)
 _FIRST_LOG_STD = -1.0  # chosen: about PPO's initial noise
 
@@ -81,56 +57,60 @@ class SquashedActor(Model):  # type: ignore[misc]
         return nn.Sequential(*self.net, nn.Tanh())
 
 
-def trainer(name: str, seed: int) -> Trainer:  # noqa: ARG001 - the entry point of several learners has a name
-    """Trainer of the entry point ``sac``."""
-    return partial(train_offpolicy, seed=seed)
+class SacLearner(Learner):
+    """Networks, algorithm and agents of one training by SAC, from random weights."""
 
+    precision = "highest"
 
-def train_offpolicy(
-    arm: Arm,
-    twin: Twin | None,
-    out: Path,
-    on_progress: Progress = no_progress,
-    servo_gains: ServoGains | None = None,
-    *,
-    seed: int,
-    cycles: int = CYCLES,
-    agents: int = AGENTS,
-) -> TrainingResult:
-    """Train and write ``policy.onnx`` and the curves."""
-    recipe = know_stiffness(replace(DEFAULT, name="sac"), arm, twin)
-    task = ReachTask(arm, training_ranges(arm, twin), agents, recipe.task, seed=seed, threads=2)
-    torch.manual_seed(seed)
-    agent, curve, done, began = _make_agent(task), list[CurvePoint](), list[Rollout](), time.perf_counter()
-    seen = dict(zip(("observation", "privileged"), map(torch.from_numpy, task.reset()), strict=True))
-    with on_one_thread():
-        for cycle in range(cycles):
-            before, clock = seen, {"timestep": cycle, "timesteps": cycles}
-            with torch.no_grad():
-                action, _ = agent.act(before["observation"], before["privileged"], **clock)
-                seen = step(task, action)
-                agent.record_transition(
-                    observations=before["observation"],
-                    states=before["privileged"],
-                    actions=action,
-                    rewards=(DEFAULT.ppo.reward_scale * seen["reward"]).float()[:, None],
-                    next_observations=seen["final_observation"],
-                    next_states=seen["final_privileged"],
-                    terminated=seen["terminated"][:, None],
-                    truncated=seen["truncated"][:, None],
-                    infos={},
-                    **clock,
-                )
-            agent.post_interaction(**clock)
+    def _make_networks(self, seed: int, start: Tensor | None) -> None:  # noqa: ARG002
+        self.agent = _make_agent(self.task)
+
+    @property
+    def network(self) -> nn.Sequential:
+        """Mean policy as layers."""
+        return self.agent.policy.network()
+
+    @torch.no_grad()
+    def learn(self) -> tuple[Rollout, float]:
+        """Update both networks after each control cycle."""
+        agent, done, cycles = self.agent, list[Rollout](), self.settings.rollout
+        for cycle in range(len(self.curve) * cycles, (len(self.curve) + 1) * cycles):
+            before, clock = self._seen, {"timestep": cycle, "timesteps": self.settings.iterations * cycles}
+            action, _ = agent.act(before["observation"], before["privileged"], **clock)
+            self._seen = seen = step(self.task, action)
+            agent.record_transition(
+                observations=before["observation"],
+                states=before["privileged"],
+                actions=action,
+                rewards=(self.settings.reward_scale * seen["reward"]).float()[:, None],
+                next_observations=seen["final_observation"],
+                next_states=seen["final_privileged"],
+                terminated=seen["terminated"][:, None],
+                truncated=seen["truncated"][:, None],
+                infos={},
+                **clock,
+            )
+            with torch.enable_grad():
+                agent.post_interaction(**clock)
             agent.tracking_data.clear()
             done.append(seen)
-            if len(done) == _REPORT_EVERY or cycle + 1 == cycles:
-                seconds = time.perf_counter() - began
-                curve.append(next_point(stacked(done), curve, noise=agent.policy.spread, seconds=seconds))
-                done, began = [], time.perf_counter()
-                on_progress((cycle + 1) / cycles, describe(curve[-1]))
-    contract = policy_contract(arm, twin, recipe, seed, servo_gains)
-    return finish_training(RunFolder(out), agent.policy.network(), contract, curve)
+        return stacked(done), agent.policy.spread
+
+
+RECIPE = replace(DEFAULT, name="sac", ppo=replace(DEFAULT.ppo, agents=512, iterations=120, rollout=32), warm=None)
+"""Two million transitions; chosen"""
+
+
+def trainer(name: str, seed: int) -> Trainer:  # noqa: ARG001 - the entry point of several learners has a name
+    """Trainer of the entry point ``sac``."""
+
+    def train_offpolicy(
+        arm: Arm, twin: Twin | None, out: Path, on_progress: Progress, servo_gains: ServoGains | None
+    ) -> TrainingResult:
+        options = TrainingOptions(preset=RECIPE, seed=seed, servo_gains=servo_gains, learner=SacLearner)
+        return train(arm, twin, out=out, options=options, on_progress=on_progress)
+
+    return train_offpolicy
 
 
 def _make_agent(task: ReachTask) -> SAC:

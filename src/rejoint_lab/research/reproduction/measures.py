@@ -210,7 +210,7 @@ def play(controller: PolicyController, ranges: Ranges, arms: int, *, seed: int, 
     Returns accumulated ``reward``, ``steps``, ``reached`` and ``collided`` (N,), the ``tcp`` (T, N, 3) [m] from the
     start, NaN after the end, and the ``target`` (N, 3) [m].
     """
-    task = PaperTask(controller.arm, ranges, arms, PAPER.task, seed=_SEED + seed, threads=2)
+    task = PaperTask(controller.arm, ranges, arms, PAPER.task, seed=_SEED + seed)
     rng = np.random.default_rng(seed)
     observation, _ = task.reset(staggered=False)
     target, paths = _point(observation, "target"), [_point(observation, "tcp")]
