@@ -72,10 +72,6 @@ def into_nothing(file: IO[str]) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), file.fileno())
 
 
-def _results() -> TextIO:
-    return cast(TextIO, _OutputFile(getattr(sys.stdout, "rich_proxied_file", sys.stdout)))
-
-
 Shown = Iterable[str | tuple[Any, ...]]
 """Lines, and tables as `Terminal.table` takes them"""
 
@@ -86,7 +82,9 @@ class Terminal:
     def __init__(self, *, json: bool = False, dry: bool = False) -> None:
         """Take whether the command ends with JSON, and whether it simulates."""
         self.json, self._dry, self._of = json, dry, "In the simulation: " if dry else ""
-        self.results = Console(file=_results(), highlight=False, soft_wrap=True)
+        self.results = Console(file=cast(TextIO, _OutputFile(sys.stdout)), highlight=False, soft_wrap=True)
+        if not self.results.is_terminal:
+            self.results.width = WIDTH
         notes = cast(TextIO, _OutputFile(sys.stderr, lossy=True))
         self.notes = Console(file=notes, highlight=False, soft_wrap=True)
         """standard error, for what is no result"""
@@ -124,8 +122,7 @@ class Terminal:
 
         A column without text is left out; a wide table is split.
         """
-        title, width = f"{self._of}{title}", self.results.width if self.results.is_terminal else WIDTH
-        page = Console(file=_results(), width=width, highlight=False)  # one of its own: what is piped has one width
+        title, width = f"{self._of}{title}", self.results.width
         columns = [column for column in zip(headers, *rows, strict=True) if any(column[1:])]
         for part in _parts(columns, width):
             table = Table(title=Text(title), title_justify="left", header_style="bold")
@@ -138,16 +135,15 @@ class Terminal:
                 table.add_column(Text(column[0]), justify=justify, overflow="fold", width=wide)
             for number, row in enumerate(zip(*(column[1:] for column in part), strict=True)):
                 table.add_row(*map(Text, row), style="bold" if number == bold else None)
-            page.print(table)
+            self.results.print(table, soft_wrap=False)
             title = ""
 
     def finish(self, value: object) -> None:
         """Print ``value`` as one JSON object on the last line, if ``--json`` was given."""
         if self.json:
             value = {**value, "dry_run": True} if self._dry and isinstance(value, dict) else value
-            file = _results()
-            file.write(msgspec.json.encode(value, enc_hook=_plain).decode() + "\n")
-            file.flush()
+            self.results.file.write(msgspec.json.encode(value, enc_hook=_plain).decode() + "\n")
+            self.results.file.flush()
 
     @contextmanager
     def bar(self, title: str) -> Iterator[Progress]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,12 +23,15 @@ if TYPE_CHECKING:
 
 
 def stage(name: str, result: Any) -> Shown:  # noqa: ANN401 - of each stage another
-    """Yield what the function ``name`` of the front door returned; nothing for None, a result that was kept."""
-    if result is not None and name in STAGES:
-        yield from STAGES[name](result)
+    """Yield what the function ``name`` of the front door returned, by that of the same name here.
+
+    Nothing for None, a result that was kept.
+    """
+    if result is not None and name in globals():
+        yield from globals()[name](result)
 
 
-def diagnosis(done: rejoint.Diagnosed) -> Shown:
+def diagnose(done: rejoint.Diagnosed) -> Shown:
     """Yield the verdict in words."""
     yield done.verdict
     for finding in done.findings:
@@ -39,7 +42,7 @@ def diagnosis(done: rejoint.Diagnosed) -> Shown:
         yield f"Open loop: {errors.error_mm.value:.1f} mm off by the encoders; the tool itself: {errors.true_error}."
 
 
-def twin(result: rejoint.Twin) -> Shown:
+def identify(result: rejoint.Twin) -> Shown:
     """Yield how well the twin predicts motion it has not seen."""
     errors = result.held_out
     yield (
@@ -53,7 +56,7 @@ def twin(result: rejoint.Twin) -> Shown:
         yield f"  ! {note}"
 
 
-def calibration(found: rejoint.Calibrated) -> Shown:
+def calibrate(found: rejoint.Calibrated) -> Shown:
     """Yield where the tool is behind the encoders, and whether correcting for it helps."""
     own, filmed = found.calibration, found.filmed
     for name, why in () if filmed is None else filmed.left_out:
@@ -102,7 +105,7 @@ def gains(found: GainsFound) -> Shown:
         )
 
 
-def training(done: rejoint.TrainedPolicy) -> Shown:
+def train(done: rejoint.TrainedPolicy) -> Shown:
     """Yield what the training reached."""
     result = done.training
     yield (
@@ -112,7 +115,7 @@ def training(done: rejoint.TrainedPolicy) -> Shown:
     )
 
 
-def comparison(done: rejoint.Compared) -> Shown:
+def compare(done: rejoint.Compared) -> Shown:
     """Yield the table of all controllers and the one to use."""
     from rejoint.pages.report.tables import columns, plain_table
 
@@ -138,7 +141,7 @@ def effort(spent: Effort | None) -> Shown:
         yield f"In all: {cost(spent.total)}."
 
 
-def followed(done: rejoint.Followed) -> Shown:
+def follow(done: rejoint.Followed) -> Shown:
     """Yield how well a path was followed, each time."""
     rows = [
         [
@@ -170,7 +173,7 @@ def followed(done: rejoint.Followed) -> Shown:
     yield from _gaps(done.gaps)
 
 
-def deployment(done: rejoint.Deployed) -> Shown:
+def deploy(done: rejoint.Deployed) -> Shown:
     """Yield what became of each target."""
     rows = [
         [
@@ -238,18 +241,3 @@ def _degrees(angle: float | None) -> str:
 def _gaps(gaps: Sequence[float]) -> Shown:
     if gaps:
         yield f"The answers stayed away {len(gaps)} times, for up to {max(gaps):.1f} s; the arm held meanwhile."
-
-
-STAGES: dict[str, Callable[[Any], Shown]] = {
-    "diagnose": diagnosis,
-    "identify": twin,
-    "train": training,
-    "gains": gains,
-    "calibrate": calibration,
-    "deploy": deployment,
-    "follow": followed,
-    "compare": comparison,
-    "check": check,
-    "fleet": fleet,
-}
-"""What yields the result of a stage"""
