@@ -24,7 +24,7 @@ def motion(found: Sample) -> RecordedMotion:
         position=found.position,
         command=found.command,
         columns=tuple(f"state.{name}" for name in ARM.joint_names),
-        robot="csv:motion",
+        extra={"format": "csv", "source": "motion.csv"},
         angle_unit="rad",
         half=None,
         more={},

@@ -37,11 +37,12 @@ def test_a_run_that_was_killed_while_it_was_begun_is_begun_again(tmp_path):
     assert [path.name for path in other.iterdir()] == ["thesis.tex"]
 
 
-def test_runs_are_found_at_any_depth(tmp_path):
-    deep = tmp_path / "lab" / "repairs" / "a1" / "001" / "run.json"
-    deep.parent.mkdir(parents=True)
-    deep.write_text("{}")
-    assert runs_below(tmp_path) == [deep]
+def test_runs_are_found_at_any_depth(tmp_path, caplog):
+    deep, damaged = folder_of(tmp_path / "lab" / "repairs" / "a1" / "001"), tmp_path / "lab" / "run.json"
+    damaged.write_text("{}")
+    ((folder, info),) = runs_below(tmp_path).items()
+    assert (folder, info.robot) == (deep, "emulated:worn")
+    assert str(damaged) in caplog.text
 
 
 def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):

@@ -15,7 +15,7 @@ from rejoint.logs.consistency import remarks_on
 from rejoint.logs.exporting import export_log
 from rejoint.logs.importing import Format, import_logs
 from rejoint.logs.joints import ImportOptions, read_map
-from rejoint.logs.runfolder import RUNS, RunFolder, files_below, read_info, runs_below
+from rejoint.logs.runfolder import RUNS, files_below, runs_below
 from rejoint.logs.runlog import RunLog
 from rejoint.robots import place_of
 from rejoint.robots import ports as lines
@@ -207,12 +207,7 @@ def runs(call: Call, folder: Path = RUNS) -> object:
     if not folder.is_dir():
         raise FileError(folder, "no such folder", "begin a run: rejoint repair ROBOT")
     rows, found = [], []
-    for path in runs_below(folder):
-        try:
-            info, files = read_info(path), RunFolder(path.parent)
-        except FileError as error:
-            call.message(f"left out: {error}")
-            continue
+    for files, info in runs_below(folder).items():
         stages = ("diagnosis", "calibration", "twin", "policy", "comparison", "report")
         done = [name for name in stages if getattr(files, name).exists()]
         state = "finished" if files.finished.exists() else f"{done[-1]} done" if done else "begun"

@@ -212,8 +212,6 @@ class RecordedMotion(FileMotion):
     """(n,) names of the positions in the file"""
     angle_unit: str
     """in the file"""
-    robot: str
-    """origin of the log"""
     half: Array | None
     """(n,) [rad] half ranges of normalised values"""
     more: Mapping[str, Array]
@@ -318,7 +316,6 @@ def read_motion(motion: RawMotion, arm: Arm, options: ImportOptions, *, source: 
         half=half,
         more=more,
         units=measured,
-        robot=f"{kind}:{source.stem}",
         extra={"source": source.name, "format": kind, **table.extra},
     )
     return _held(replace(found.take(np.argsort(sort_keys(found.time), kind="stable")), notes=table.notes))

@@ -138,7 +138,7 @@ def to_log(motion: RecordedMotion, arm: Arm, options: ImportOptions | None = Non
     told = {FORCED: BETWEEN.join(reasons), UNPOWERED: ",".join(options.torque_off)}
     log = replace(
         RunLog.of(motion.time, command, motion.position, arm=arm, label=motion.name),
-        robot=motion.robot,
+        robot=f"{motion.extra['format']}:{Path(motion.extra['source']).stem}",
         extra={**motion.extra, **{key: text for key, text in told.items() if text}},
         units=dict(motion.units),
         **dict[str, Any](motion.more),

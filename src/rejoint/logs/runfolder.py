@@ -186,15 +186,15 @@ def files_below(folder: Path, name: str) -> list[Path]:
     return sorted(path for path in found if path.exists())
 
 
-def runs_below(folder: Path) -> list[Path]:
-    """Files run.json in a folder and below it, at any depth; the newest first, then those that cannot be read."""
-
-    def begun(path: Path) -> str:
-        with suppress(FileError):
-            return read_info(path).created
-        return ""
-
-    return sorted(files_below(folder, "run.json"), key=lambda path: (begun(path), path.stat().st_mtime), reverse=True)
+def runs_below(folder: Path) -> dict[RunFolder, RunInfo]:
+    """Return runs in a folder and below it, at any depth, the newest first; warns of those that cannot be read."""
+    found = {}
+    for path in files_below(folder, "run.json"):
+        try:
+            found[RunFolder(path.parent)] = read_info(path)
+        except FileError as error:
+            LOGGER.warning("left out: %s", error)
+    return dict(sorted(found.items(), key=lambda run: (run[1].created, run[0].info.stat().st_mtime), reverse=True))
 
 
 def read_info(path: Path) -> RunInfo:

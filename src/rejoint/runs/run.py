@@ -23,7 +23,7 @@ from rejoint.control.robot import JointState, Robot, WatchedRobot
 from rejoint.control.servogains import GainsFound
 from rejoint.logs.history import plain_name
 from rejoint.logs.journal import Journal
-from rejoint.logs.runfolder import LOGS, RUNS, RunFolder, RunInfo, StageCost, add, locked, read_info, runs_below
+from rejoint.logs.runfolder import LOGS, RUNS, RunFolder, RunInfo, StageCost, add, files_below, locked, read_info
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import FileError, InputError
 from rejoint.system.files import UNFINISHED, as_path, digest, read_bounded, read_json_if, reading, unused, write_json
@@ -59,7 +59,7 @@ class Run(Readable):
             return path
         folder = RunFolder(as_path("a run or its folder", path))
         if not folder.info.exists():
-            within = sorted(str(p.parent.relative_to(path)) for p in runs_below(folder.path))
+            within = sorted(str(p.parent.relative_to(path)) for p in files_below(folder.path, "run.json"))
             start = "start with: rejoint diagnose ROBOT --run FOLDER"
             hint = f"it holds runs, name one of: {', '.join(within)}" if within else start
             raise FileError(path, "no run folder (it holds no run.json)", hint)

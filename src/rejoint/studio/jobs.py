@@ -63,12 +63,12 @@ def candidates(home: Path) -> dict[str, str]:
 def runs(home: Path, arm: Arm | None = None, name: str = "") -> dict[str, Path]:
     """Return the newest run of every address below ``home``, of this ``arm`` and ``name`` if given."""
     found = dict[str, Path]()
-    for path in runs_below(home):
+    for folder, info in runs_below(home).items():
         with suppress(RejointError):
-            run = Run.open(path.parent)
-            other = (arm and run.other_than(arm)) or (name and run.info.name not in ("", name))
-            if ":" in run.robot and not run.info.from_logs and not other:
-                found.setdefault(run.robot, run.path)
+            run = Run.open(folder.path)
+            other = (arm and run.other_than(arm)) or (name and info.name not in ("", name))
+            if ":" in info.robot and not info.from_logs and not other:
+                found.setdefault(info.robot, folder.path)
     return dict(sorted(found.items()))
 
 

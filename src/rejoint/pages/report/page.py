@@ -4,7 +4,6 @@ A stage that was not run has no content: None.
 """
 
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import fields
 from functools import cached_property, partial
 from pathlib import Path
@@ -206,12 +205,10 @@ class Contents:
 
     def _known(self) -> tuple[object, ...]:
         """Options that begin with the calibration of this arm's newest other run that has one."""
-        for other in (RunFolder(file.parent) for file in runs_below(_home(self.folder))):
-            with suppress(FileError):  # of a damaged one
-                info = read_info(other.info)
-                alike = (info.robot, info.name, info.arm) == (self.info.robot, self.info.name, self.info.arm)
-                if alike and other.path != self.folder.path and other.calibration.exists():
-                    return "--calibration", other.calibration, "--count", 3
+        for other, info in runs_below(_home(self.folder)).items():
+            alike = (info.robot, info.name, info.arm) == (self.info.robot, self.info.name, self.info.arm)
+            if alike and other.path != self.folder.path and other.calibration.exists():
+                return "--calibration", other.calibration, "--count", 3
         return ()
 
     @property
