@@ -146,19 +146,18 @@ def _alone(robot: Robot) -> Iterator[None]:
         _MOVING.discard(id(robot))
 
 
-def brake(robot: Robot, last: Cycle) -> Cycle:
+def brake(robot: Robot, last: Cycle, see: OnCycle) -> None:
     """Bring a stopped arm to rest behind its ``last`` command: a weak joint would go on there for long.
 
-    Returns the cycle that did it, or the ``last`` one.
+    ``see`` receives the cycle that does it, if one is needed.
     """
     now = own(robot.read())
     ahead, came = last.command - now.position, np.abs(now.position - last.position)
     most = np.maximum(BRAKE, LAG * came / np.maximum(now.time - last.time, FIRST_PERIOD)[:, None])
-    if (np.abs(ahead) <= most).all():
-        return last
-    braking = replace(last.later(robot, now, now.position + np.clip(ahead, -most, most)), turned=last.turned)
-    robot.step(braking.command)
-    return braking
+    if (np.abs(ahead) > most).any():
+        braking = replace(last.later(robot, now, now.position + np.clip(ahead, -most, most)), turned=last.turned)
+        robot.step(braking.command)
+        see(braking)
 
 
 def _hold(robot: Robot, run_state: RunState | None, error: BaseException) -> str:
@@ -172,11 +171,8 @@ def _hold(robot: Robot, run_state: RunState | None, error: BaseException) -> str
                 "and holds there; nothing was powered off. Look at it before you go on."
             )
     if run_state is not None and run_state.cycles and isinstance(error, Interrupted):
-        last = run_state.cycles[-1]
         with shielded(), suppress(Exception):  # the order to stop has arrived, and the first error is the one to report
-            braking = brake(robot, last)
-            if braking is not last:
-                run_state.record(braking)
+            brake(robot, run_state.cycles[-1], run_state.record)
     if isinstance(error, PowerLostError) or (isinstance(error, GuardTripError) and error.limp):
         return (
             "What has no torque does not hold; the rest of the arm was stopped and holds. Look at it before you go on."
@@ -428,7 +424,7 @@ class RunState:
                 sent, _, speed = guard(self.limits, goal, sent, speed, self.state, self.period)
                 self.state = own(self.robot.step(sent, where))
                 loose = loose | (np.abs(self.state.position - stood) >= LOOSE * self.robot.arm.encoder_step)
-                self.cycles.append(replace(self.cycles[-1].later(self.robot, self.state, sent), active=where))
+                self.record(replace(self.cycles[-1].later(self.robot, self.state, sent), active=where))
         self.sent = np.where(where[:, None], sent, self.sent)
         return where & loose.all(axis=-1) & (self.doubted < MOST_DOUBTED)
 

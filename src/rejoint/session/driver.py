@@ -383,7 +383,7 @@ class ArmDriver:
         self._chosen: dict[bool, tuple[str, Controller]] = {}
         self._announced = set[str]()
         self._last: Cycle | None = None
-        self._sent: Array | None = None  # (1, n) [rad]
+        self._sent: Array | None = None  # (1, n) [rad]; None: nothing yet
         self._rested = False
         self.progress = RateLimit(self.observer.progress)
         """receives the progress of the motion"""
@@ -557,7 +557,6 @@ class ArmDriver:
         """
         if not rest and self._sent is None:
             check_ready(self.robot)
-            self._sent = self.robot.read().position.copy()
         self.recorder.begin(self.robot, motion, f"{motion}/{by}")
         self.take_up(controller)
         if rest and not self._rested:
@@ -573,7 +572,6 @@ class ArmDriver:
         """
         check_controller_period(controller, self.usual)
         self.take_up(controller)
-        assert self._sent is not None  # noqa: S101 - callers have begun
         plan = replace(schedule, sent=self._sent, watch_falls=True)
         return self._seen_through(
             lambda see: run(self.robot, controller, reference, plan, limits=self.limits, on_cycle=see),
@@ -630,13 +628,13 @@ class ArmDriver:
 
     def brake(self) -> None:
         """Let the arm rest about where it is."""
-        if self._last is None:
-            return
-        braking = brake(self.robot, self._last)
-        if braking is not self._last:
-            self._sent = braking.command
+
+        def see(braking: Cycle) -> None:
             with suppress(Exception):  # the arm holds, whatever an observer makes of it
                 self._see(braking, self.recorder.see)
+
+        if self._last is not None:
+            brake(self.robot, self._last, see)
 
     def go(self, posture: Array, give_up: Callable[[ControlInput], bool]) -> None:
         """Bring the arm slowly to ``posture`` (n,) [rad]."""
@@ -647,19 +645,14 @@ class ArmDriver:
         )
 
     def _see(self, cycle: Cycle, *watches: OnCycle) -> None:
-        self._last, self.heard = cycle, time.monotonic()
+        self._last, self._sent, self.heard = cycle, cycle.command, time.monotonic()
         for watch in (*watches, self.observer.cycle, *self.watching):
             watch(cycle)
 
     def _seen_through(self, motion: Callable[[OnCycle], Recording], *watches: OnCycle) -> Recording:
-        """Do a motion that observers see, and keep its last command, also after an error."""
+        """Do a motion that observers see."""
         try:
-            recording = motion(lambda cycle: self._see(cycle, *watches))
+            return motion(lambda cycle: self._see(cycle, *watches))
         except BaseException as error:
-            partial = recording_of(error)
-            if partial is not None:
-                self._sent = partial.command[-1]
             self.recorder.rescue(error)
             raise
-        self._sent = recording.command[-1]
-        return recording
