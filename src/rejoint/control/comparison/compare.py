@@ -47,12 +47,6 @@ from rejoint.system.progress import Progress, no_progress
 from rejoint.system.stopping import pause
 
 
-@dataclass(frozen=True)
-class _File:
-    name: str
-    trials: list[Driven]
-
-
 class Ledger:
     """Finished trials of the comparison ``name``; without a path in memory. Those of another one are set aside."""
 
@@ -60,9 +54,9 @@ class Ledger:
         self.path, self._name, self.done = path, name, dict[Key, Driven]()
         if path is None or not path.exists():
             return
-        found = read_json(path, _File)
-        if found.name == name:
-            self.done = {driven.key: driven for driven in found.trials}
+        found = read_json(path, dict[str, list[Driven]])
+        if name in found:
+            self.done = {driven.key: driven for driven in found[name]}
         else:
             set_aside(path)
 
@@ -70,7 +64,7 @@ class Ledger:
         """Store a trial; FileError."""
         self.done[driven.key] = driven
         if self.path is not None:
-            write_json(self.path, _File(self._name, list(self.done.values())))
+            write_json(self.path, {self._name: list(self.done.values())})
 
     def close(self) -> None:
         """Remove the file."""
