@@ -21,7 +21,7 @@ from rejoint.arms.arm import freeze, frozen
 from rejoint.arms.collision import JOINT_CLEARANCE, CollisionShape, clearances_of, collision_shape, usual_distances
 from rejoint.arms.kinematics import chain_of
 from rejoint.arms.workspace import length_size
-from rejoint.control.monitor import Bands, Following
+from rejoint.control.monitor import Bands
 from rejoint.control.robot import JointState
 from rejoint.system.errors import InputError
 from rejoint.system.records import entity
@@ -213,7 +213,6 @@ def warm_up(limits: GuardLimits) -> None:
     rest = limits.arm.rest[None]
     state = JointState(time=np.zeros(1), position=rest, age=np.zeros(1))
     guard(limits, rest, rest, 0.0 * rest, state, 0.0)
-    Following(limits.arm, state, rest)
     kinematics.compile_all()
 
 
