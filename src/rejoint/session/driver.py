@@ -332,6 +332,20 @@ SURE = 3.0
 class ArmDriver:
     """An arm with everything that drives it; a session adds the motions."""
 
+    usual = np.nan
+    """[s] usual control period, after the first motion"""
+    heard = np.inf
+    """[s] monotonic time of the newest cycle"""
+    limits: GuardLimits | None = None
+    """of the guard; None before the robot is open"""
+    rehearsal: RehearsedRobot | None = None
+    """in a dry run"""
+    _base: GuardLimits | None = None  # under the gains that the robot had when it was opened
+    _in_charge: Controller | None = None
+    _last: Cycle | None = None
+    _sent: Array | None = None  # (1, n) [rad]; None: nothing yet
+    _rested = False
+
     def __init__(
         self,
         robot: RobotLike | None,
@@ -361,30 +375,19 @@ class ArmDriver:
         self.address = "" if robot is None else address_of(robot)
         self.period = None if robot is None else period_of(robot, self.settings.period)
         """[s] interval of control periods; None: the open robot knows"""
-        self.usual = np.nan
-        """[s] usual control period, after the first motion"""
-        self.limits: GuardLimits | None = None
-        """of the guard; None before the robot is open"""
         self.watching: list[OnCycle] = []
         """called with every cycle, and with every reading between motions"""
-        self.heard = np.inf
-        """[s] monotonic time of the newest cycle"""
         self.given, self._pace = robot, pace
         """the robot or its address, as the user gave it"""
         self._stack, self._gains = ExitStack(), ExitStack()
         self._stack.enter_context(exclusive(None if self.settings.dry_run else about))
         self._named = about  # as the user knows it, also where a copy is worked on
-        self.rehearsal: RehearsedRobot | None = None
         self.run = about if about is None or not self.settings.dry_run else self._stack.enter_context(copied(about))
         """a copy in a dry run; None: nothing is written"""
         self.recorder = RunRecorder(self.run, self.observer.message)
-        self._base: GuardLimits | None = None  # under the gains that the robot had when it was opened
-        self._in_charge: Controller | None = None
+        self._stack.callback(self.recorder.end)
         self._chosen: dict[bool, tuple[str, Controller]] = {}
         self._announced = set[str]()
-        self._last: Cycle | None = None
-        self._sent: Array | None = None  # (1, n) [rad]; None: nothing yet
-        self._rested = False
         self.progress = RateLimit(self.observer.progress)
         """receives the progress of the motion"""
         self._asking = threading.RLock()  # of threads that ask the arm or begin a motion

@@ -429,16 +429,12 @@ class Session(ArmDriver):
                 return
             self._closed = True
             try:
-                try:
-                    if self._motion is not None:
-                        self.stop()
-                finally:
-                    self.recorder.end()
-                driven = error is not None and recording_of(error) is not None
-                if self.rehearsal is not None and (error is None or driven):
+                if self._motion is not None:
+                    self.stop()
+                if self.rehearsal is not None and (error is None or recording_of(error) is not None):
                     self.observer.message(self.rehearsal.summary())
-                if self.rehearsal is not None and error is not None and driven:  # a forecast, no order to the arm
-                    error.__notes__ = ["So it would end in the simulation. Nothing moved or was recorded."]
+                    if error is not None:  # a forecast, no order to the arm
+                        error.__notes__ = ["So it would end in the simulation. Nothing moved or was recorded."]
             finally:
                 self._stack.__exit__(kind, error, trace)
         if error is None and motion is not None:
