@@ -48,8 +48,8 @@ from rejoint.twin.twin import Twin
 from rejoint_lab.research.evaluation.evaluate import classical
 from rejoint_lab.research.evaluation.family import (
     NEARBY,
+    VARIANTS,
     ArmFamily,
-    find_variant,
     open_family,
     own_twins,
     targets_anywhere,
@@ -225,7 +225,7 @@ def _ways(title: str, arms: list[Arm]) -> None:
 
 def _driven(title: str, arm: Arm, family: ArmFamily, twins: list[Twin]) -> None:
     """Drive worn arms to targets anywhere; print the contacts of the planned and of the driven ways."""
-    variant, judge = find_variant("anywhere"), Judge(arm)
+    variant, judge = VARIANTS["anywhere"], Judge(arm)
     targets, ways = targets_anywhere(arm, family, twins)
     plan_of = schedule("hold", Protocol(hold=3.0), keep_going=True)
     controller = classical("feedforward").make(twins, arm)

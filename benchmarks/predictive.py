@@ -20,7 +20,7 @@ from rejoint.logs.runfolder import RunFolder
 from rejoint.twin.predictive import PredictiveController
 from rejoint.twin.twin import Twin
 from rejoint_lab.research.evaluation.evaluate import classical, planned
-from rejoint_lab.research.evaluation.family import ArmFamily, find_variant, open_family, own_twin, try_on
+from rejoint_lab.research.evaluation.family import VARIANTS, ArmFamily, open_family, own_twin, try_on
 
 TARGETS, STEPS = 3, 2000
 OTHER_MOTIONS = 1_000_000
@@ -60,7 +60,7 @@ def main(
     arms: int = 16, family: int = 0, twins: Path = Path("runs/twins"), variant: str = "worn", again: int = 0
 ) -> None:
     """Print a row for each controller; ``twins`` keeps the arms' twins, ``again`` is the seed of other motions."""
-    drawn, condition = ArmFamily(arms=arms, targets=TARGETS, crossings=0, seed=family), find_variant(variant)
+    drawn, condition = ArmFamily(arms=arms, targets=TARGETS, crossings=0, seed=family), VARIANTS[variant]
     own = know(drawn, twins, again)
     stiffness = float(np.mean([one.parameters.stiffness.mean() for one in own]))
     shelf = None

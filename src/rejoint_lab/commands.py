@@ -16,6 +16,7 @@ from rejoint.system.extras import require
 from rejoint.system.files import read_json, write_json
 from rejoint.system.progress import part
 from rejoint_lab.family import SIMULATOR
+from rejoint_lab.research import look_up
 
 if TYPE_CHECKING:
     from rejoint_lab.research.evaluation.evaluate import Contestant, Evaluation
@@ -101,14 +102,14 @@ def evaluate(
     arm = _arm(call)
     from rejoint_lab.research.evaluation.evaluate import KNOWN
     from rejoint_lab.research.evaluation.evaluate import evaluate as run
-    from rejoint_lab.research.evaluation.family import VARIANTS, ArmFamily, find_variant
+    from rejoint_lab.research.evaluation.family import VARIANTS, ArmFamily
 
     names = {"all": KNOWN, "none": ()}.get(controllers, controller_names(controllers))
-    chosen = [find_variant(name) for name in controller_names(variants)] or VARIANTS
+    chosen = look_up(VARIANTS, controller_names(variants))
     family = ArmFamily(arms=arms, targets=targets, crossings=crossings, seed=seed)
     contestants, file = _contestants(arm, [*names, *map(str, policy or ())], gains), out.resolve() / "evaluation.json"
     with call.bar("evaluate") as update:
-        return _show(call, run(arm, contestants, chosen, family, file, update), file)
+        return _show(call, run(arm, contestants, chosen.values(), family, file, update), file)
 
 
 @takes
@@ -124,10 +125,10 @@ def calibrate(
     """Find what outside measurements bring: true errors of many arms before and after their calibration."""
     arm = _arm(call)
     from rejoint_lab.research.evaluation.evaluate import evaluate_calibrations
-    from rejoint_lab.research.evaluation.family import CALIBRATED, ArmFamily, find_variant
+    from rejoint_lab.research.evaluation.family import CALIBRATED, ArmFamily
 
     (one,) = _contestants(arm, [controller])
-    conditions = [find_variant(name, CALIBRATED) for name in controller_names(variants)] or CALIBRATED
+    conditions = look_up(CALIBRATED, controller_names(variants)).values()
     family = ArmFamily(arms=arms, targets=targets, crossings=0, seed=seed)
     file = out.resolve() / "calibration.json"
     with call.bar("calibrate") as update:
@@ -160,11 +161,11 @@ def tune(
     """Tune classical rivals by CMA-ES on the randomised twins that policies are trained on."""
     require("rejoint research tune", "train")
     from rejoint.training.ranges import BroadRanges
-    from rejoint_lab.research.rivals import find_rival
+    from rejoint_lab.research.rivals import RIVALS
     from rejoint_lab.research.rivals import tune as search
 
     arm = call.arm()
-    ranges, chosen = BroadRanges(arm=arm), {name: find_rival(name) for name in rivals}
+    ranges, chosen = BroadRanges(arm=arm), look_up(RIVALS, rivals)
     known = read_json(out, dict[str, dict[str, float]]) if out.exists() else {}
     tuned = {}
     with call.bar("tune") as update:
@@ -188,9 +189,9 @@ def reproduce(
 ) -> object:
     """Run the experiments of Park et al. 2024 and write a page with their numbers beside ours."""
     require("rejoint research reproduce", "train", "report")
-    from rejoint_lab.research.reproduction.campaign import Bench, choose, run_experiments, write_page
+    from rejoint_lab.research.reproduction.campaign import EXPERIMENTS, Bench, run_experiments, write_page
 
-    chosen = choose(experiments or ())
+    chosen = look_up(EXPERIMENTS, experiments or ())
     folder = run or Path("runs") / f"reproduction{'-quick' * quick}-seed{seed}"
     with call.bar("reproduce") as update:
         bench = Bench(folder=folder.resolve(), arm=mycobot280(), seed=seed, on_progress=update)

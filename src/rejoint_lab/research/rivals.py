@@ -137,13 +137,6 @@ RIVALS = {
 }
 
 
-def find_rival(name: str) -> Rival:
-    """Look up a rival; InputError for other names."""
-    if name not in RIVALS:
-        raise InputError(f"no rival is called {name!r}; known rivals: {', '.join(RIVALS)}")
-    return RIVALS[name]
-
-
 CANDIDATES = 12
 """per generation"""
 ARMS, TARGETS = 24, 2

@@ -12,7 +12,7 @@ from rejoint_lab.research.evaluation.evaluate import (
     evaluate,
     outcome_path,
 )
-from rejoint_lab.research.evaluation.family import ArmFamily, family_targets, find_variant, open_family
+from rejoint_lab.research.evaluation.family import VARIANTS, ArmFamily, family_targets, open_family
 
 ARM = mycobot280()
 
@@ -20,11 +20,11 @@ ARM = mycobot280()
 def test_an_arm_of_a_family_does_not_depend_on_how_many_there_are():
     few, many = ArmFamily(arms=2), ArmFamily(arms=5)
     np.testing.assert_array_equal(family_targets(ARM, few), family_targets(ARM, many)[:2])
-    loaded = [open_family(ARM, find_variant("payload"), family) for family in (few, many)]
+    loaded = [open_family(ARM, VARIANTS["payload"], family) for family in (few, many)]
     for _ in range(5):
         some, more = (robot.step(robot.read().position) for robot in loaded)
     np.testing.assert_array_equal(some.load, more.load[:2])
-    light = open_family(ARM, find_variant("worn"), few)
+    light = open_family(ARM, VARIANTS["worn"], few)
     assert (np.abs(light.read().load) < np.abs(some.load)).any(axis=1).all()
 
 
@@ -42,7 +42,7 @@ def test_the_same_command_takes_over_what_is_done_and_what_lies_on_disk_is_the_r
 
     one, file = Contestant(name="mine", make=make, identity="1"), tmp_path / "evaluation.json"
     family = ArmFamily(arms=2, targets=1, crossings=1, protocol=Protocol(hold=1.5, dwell=2.0))
-    variants, seen = [find_variant("worn")], []
+    variants, seen = [VARIANTS["worn"]], []
     first = evaluate(ARM, [one], variants, family, file, lambda *report: seen.append(report))
     assert len(made) == 2  # holds and crossings
     again = evaluate(ARM, [one], variants, family, file, lambda *_: None)

@@ -6,8 +6,9 @@ from rejoint.arms.postures import find_postures
 from rejoint.control.controllers.classical import NOMINAL_PERIOD, dls_step
 from rejoint.system.errors import InputError
 from rejoint.training.ranges import BroadRanges
+from rejoint_lab.research import look_up
 from rejoint_lab.research.evaluation.evaluate import classical
-from rejoint_lab.research.rivals import Gain, Rival, ScheduledController, find_rival, tune
+from rejoint_lab.research.rivals import RIVALS, Gain, Rival, ScheduledController, tune
 from standin import inputs_of, state_of
 
 ARM = mycobot280()
@@ -78,4 +79,4 @@ def test_gains_must_be_those_of_the_rival():
         with pytest.raises(InputError, match="expected"):
             classical("tuned-feedforward", gains)
     with pytest.raises(InputError, match="tuned-feedforward"):
-        find_rival("nobody")
+        look_up(RIVALS, ["nobody"])

@@ -163,7 +163,7 @@ class Evaluation:
 def evaluate(
     arm: Arm,
     contestants: Sequence[Contestant],
-    variants: Sequence[Variant],
+    variants: Collection[Variant],
     family: ArmFamily,
     file: Path,
     on_progress: Progress,
@@ -338,7 +338,7 @@ SPEED, WAIT = 0.5, 1.5
 
 def evaluate_calibrations(
     arm: Arm,
-    conditions: Sequence[Variant],
+    conditions: Collection[Variant],
     contestant: Contestant,
     family: ArmFamily,
     file: Path,
@@ -361,7 +361,7 @@ def evaluate_calibrations(
         )
 
     contestants = [contestant._replace(name="not calibrated", ours=False), *map(by, POINTS)]
-    return evaluate(arm, contestants, list(places), family, file, on_progress)
+    return evaluate(arm, contestants, places, family, file, on_progress)
 
 
 def measure(robot: EmulatedRobot, suggestion: Suggestion, seed: int) -> list[Measurements]:

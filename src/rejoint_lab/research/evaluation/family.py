@@ -26,7 +26,6 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.logs.history import setup_of
 from rejoint.logs.runfolder import RunFolder
 from rejoint.session.context import believed_motors
-from rejoint.system.errors import InputError
 from rejoint.system.files import read_shipped
 from rejoint.system.progress import Progress, no_progress, part
 from rejoint.system.records import value_type
@@ -76,10 +75,10 @@ class Variant:
 
 _TABLES = read_shipped(__file__, "variants.toml", dict[str, dict[str, Variant]])
 VARIANTS, CALIBRATED = (
-    tuple(replace(one, name=name) for name, one in _TABLES[command].items()) for command in ("evaluate", "calibrate")
+    {name: replace(one, name=name) for name, one in _TABLES[command].items()} for command in ("evaluate", "calibrate")
 )
-"""The conditions of evaluations, and of calibrations"""
-WORN = VARIANTS[0]
+"""The conditions of evaluations, and of calibrations, by name"""
+WORN = VARIANTS["worn"]
 
 
 @value_type
@@ -100,14 +99,6 @@ class ArmFamily:
         """Seeds of all arms."""
         first = FAMILY_SIZE * (self.seed + 1)
         return list(range(first, first + self.arms))
-
-
-def find_variant(name: str, among: Sequence[Variant] = VARIANTS) -> Variant:
-    """Look up a variant; InputError names the alternatives."""
-    for variant in among:
-        if variant.name == name:
-            return variant
-    raise InputError(f"no variant is called {name!r}; known variants: {', '.join(v.name for v in among)}")
 
 
 def misdescribed(arm: Arm, variant: Variant, seed: int) -> Arm:

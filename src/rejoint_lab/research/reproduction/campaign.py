@@ -290,14 +290,6 @@ EXPERIMENTS = read_shipped(__file__, "experiments.toml", dict[str, Experiment])
 """by their names on the command line, in the paper's order"""
 
 
-def choose(names: Sequence[str]) -> dict[str, Experiment]:
-    """Named experiments, default: all; InputError for unknown ones."""
-    for name in names:
-        if name not in EXPERIMENTS:
-            raise InputError(f"no experiment is called {name!r}; known: {', '.join(EXPERIMENTS)}")
-    return {name: one for name, one in EXPERIMENTS.items() if name in (names or EXPERIMENTS)}
-
-
 def run_experiments(
     bench: Bench, experiments: Mapping[str, Experiment], on_experiment: Callable[[Experiment], object]
 ) -> dict[str, Finished]:
