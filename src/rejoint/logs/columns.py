@@ -226,11 +226,16 @@ class RecordedMotion(FileMotion):
         """Place of a row in the file: ``line 17``."""
         return f"{self.place} {self.number[row]}"
 
+    @property
+    def angles(self) -> dict[str, Array]:
+        """States, and commands if there are any, (T, n) [rad]."""
+        state = {"state": self.position}
+        return state if self.command is None else state | {"command": self.command}
+
     def take(self, rows: NDArray[Any]) -> RecordedMotion:
         """Return rows by a mask (T,) or by indices."""
-        kept = taken(self, ("number", "time", "position"), rows)
-        command = None if self.command is None else self.command[rows]
-        return replace(kept, command=command, more={name: one[rows] for name, one in self.more.items()})
+        names = ("number", "time", "position", *["command"] * (self.command is not None))
+        return replace(taken(self, names, rows), more={name: one[rows] for name, one in self.more.items()})
 
 
 UNITS: dict[str, dict[str, float]] = {

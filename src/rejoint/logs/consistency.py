@@ -251,7 +251,7 @@ def check_units(motion: RecordedMotion, arm: Arm, options: ImportOptions) -> Ite
     elif unit == "deg" and (bits := turn_bits(read)):
         said = f"state: the values come in steps of 2 pi / {2**bits}: they are radians, not degrees"
         yield f"{said}; up to {extent:.4g} rad are angles of the motors, before their gear", GEAR_REMEDY
-    for what, values in {"state": angles, "command": angles if motion.command is None else motion.command}.items():
+    for what, values in motion.angles.items():
         size = np.abs(values) * ~arm.endless
         row, joint = _largest(size)
         if size[row, joint] <= TWO_TURNS:
@@ -352,9 +352,7 @@ def _within(arm: Arm, position: Array) -> Array:
 
 def check_states(motion: RecordedMotion, arm: Arm) -> Iterator[Remark]:
     """Check angles against limits and speeds of the arm."""
-    for what, values in {"state": motion.position, "command": motion.command}.items():
-        if values is None:
-            continue
+    for what, values in motion.angles.items():
         excess = np.maximum(values - arm.upper, arm.lower - values) * ~arm.endless
         far, worst = (excess > LIMIT_MARGIN).mean(axis=0), excess.max(axis=0)
         for joint in np.flatnonzero(worst > 0):

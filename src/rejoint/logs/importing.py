@@ -43,9 +43,8 @@ PAUSE_PERIODS = 5.0
 def parted(motion: RecordedMotion, arm: Arm) -> Iterator[RecordedMotion]:
     """Split at pauses, corrupt numbers, and where the clock was set back; FileError beyond `DAMAGED`."""
     notes, bad = list(motion.notes), ~np.isfinite(motion.time)
-    for what, values in {"state": motion.position, "command": motion.command}.items():
-        if values is not None:
-            bad |= _corrupt(motion, what, values, arm)
+    for what, values in motion.angles.items():
+        bad |= _corrupt(motion, what, values, arm)
     good = np.flatnonzero(~bad)
     steps = np.diff(motion.time[good])
     back = np.flatnonzero(steps < 0) + 1

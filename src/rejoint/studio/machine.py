@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import rejoint
 from rejoint.arms import Arm, Array
@@ -23,7 +23,6 @@ from rejoint.system.files import unused
 from rejoint.system.records import entity
 from rejoint.system.stopping import Interrupted, ending, interrupt
 
-StepName = Literal["find", "check", "diagnose", "repair", "calibrate", "prove", "use"]
 LINES = 6
 """Newest messages that are shown (chosen)"""
 Job = Callable[["Studio"], object]
@@ -34,7 +33,8 @@ T = TypeVar("T")
 class Status:
     """What all pages show."""
 
-    step: StepName = "find"
+    step: str = "find"
+    """of `rejoint.studio.page.TITLES`"""
     name: str = ""
     address: str = ""
     """of the chosen arm, or empty"""

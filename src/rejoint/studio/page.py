@@ -28,7 +28,7 @@ from rejoint.pages.live.view import Doing, LiveView, Shown
 from rejoint.robots import DEFAULT_ARM
 from rejoint.runs.exports import KINDS
 from rejoint.studio import jobs
-from rejoint.studio.machine import Status, StepName, Studio
+from rejoint.studio.machine import Status, Studio
 from rejoint.system.errors import InputError
 from rejoint.system.shell import is_loopback
 
@@ -43,7 +43,7 @@ def _text(status: HTTPStatus, text: str, kind: str = "plain") -> Response:
     return Response(status, status.phrase, Headers({"Content-Type": f"text/{kind}; charset=utf-8"}), text.encode())
 
 
-TITLES: dict[StepName, str] = {
+TITLES = {
     "find": "1  Find the arm",
     "check": "2  Check it",
     "diagnose": "3  What is wrong?",

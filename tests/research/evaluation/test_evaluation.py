@@ -10,7 +10,6 @@ from rejoint_lab.research.evaluation.evaluate import (
     Contestant,
     Evaluation,
     evaluate,
-    outcome_path,
 )
 from rejoint_lab.research.evaluation.family import VARIANTS, ArmFamily, family_targets, open_family
 
@@ -54,4 +53,4 @@ def test_the_same_command_takes_over_what_is_done_and_what_lies_on_disk_is_the_r
     evaluate(ARM, [one._replace(identity="2")], variants, held, file, lambda *report: seen.append(report))
     assert len(made) == 3
     assert seen[-1] == (1, "worn: mine: hold protocol")
-    assert outcome_path(tmp_path, "worn", one.name).exists()
+    assert (tmp_path / "outcomes" / "worn--mine.json").exists()

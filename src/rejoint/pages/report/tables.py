@@ -8,7 +8,7 @@ from rejoint.arms import Array
 from rejoint.control.comparison.result import Comparison, ControllerRow, Protocol
 from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.pages.words import MM, NEVER, UNKNOWN, Cell, ends, listed, measured, number, plural
-from rejoint.system.statistics import NORMAL95, Estimate, Spread, bootstrap_mean
+from rejoint.system.statistics import NORMAL95, Estimate, bootstrap_mean
 from rejoint.twin.twin import NO_TWIN, Judgement, smaller
 
 DEG = np.degrees(1.0)
@@ -31,7 +31,7 @@ def result_columns(protocol: Protocol, count: int, block: int = 0) -> ResultColu
     within = " / ".join(f"{distance * MM:g}" for distance in protocol.within)
     return {
         "success [%]": _success,
-        "error at the crossing [mm]": lambda row: Cell(_crossing(row.crossing_error)),
+        "error at the crossing [mm]": _crossing,
         f"{plural(count, 'target')} [s]": lambda row: measured(row.cycle_time, 1.0, 3),
         "settled error, encoders [mm]": lambda row: _settled(row, block),
         "settled error, true [mm]": _true,
@@ -59,12 +59,13 @@ def _success(row: ControllerRow) -> Cell:
     return Cell(number(100 * row.reached, 3), "" if one is None else ends(one, 2, 100))
 
 
-def _crossing(found: Spread | None) -> str:
+def _crossing(row: ControllerRow) -> Cell:
     """Mean and deviation, with three digits of the mean."""
+    found = row.crossing_error
     if found is None:
-        return UNKNOWN
+        return Cell(UNKNOWN)
     mean = number(MM * found.mean.value)
-    return f"{mean} ± {MM * found.std:.{len(mean.partition('.')[2])}f}" if found.std else mean
+    return Cell(f"{mean} ± {MM * found.std:.{len(mean.partition('.')[2])}f}" if found.std else mean)
 
 
 def _settled(row: ControllerRow, block: int) -> Cell:

@@ -4,7 +4,6 @@ Intervals resample whole arms. Calibrations take part like controllers. Along mo
 and identified; the twins are kept.
 """
 
-import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
@@ -43,7 +42,7 @@ from rejoint.diagnosis.calibration.calibration import Calibration
 from rejoint.diagnosis.calibration.fit import fit
 from rejoint.diagnosis.calibration.measurements import Measurements
 from rejoint.diagnosis.calibration.procedure import Suggestion, before, suggest
-from rejoint.logs.history import setup_of
+from rejoint.logs.history import plain_name, setup_of
 from rejoint.pages.report.tables import ResultColumns, plain_table, result_columns
 from rejoint.pages.words import MM, Cell, measured, number
 from rejoint.session.context import believed_motors
@@ -189,6 +188,7 @@ def evaluate(
         found: dict[str, list[Columns]] = {}
         for place, one in enumerate(contestants, start=len(comparisons) * len(contestants)):
             calibrations = None if one.calibrations is None else partial(one.calibrations, variant)
+            kept = file.parent / "outcomes" / f"{plain_name(f'{variant.name}--{one.name}')}.json"
             identity = repr((__version__, setup_of(arm), variant, one.identity, family))
             columns = try_on(
                 arm,
@@ -197,7 +197,7 @@ def evaluate(
                 family,
                 (targets, ways),
                 calibrations,
-                ledger=Ledger(outcome_path(file.parent, variant.name, one.name), identity),
+                ledger=Ledger(kept, identity),
                 on_progress=part(on_progress, place / total, (place + 1) / total, f"{variant.name}: {one.name}"),
             )
             found.setdefault(group_of(one.name), []).append(columns)
@@ -217,12 +217,6 @@ def judged(family: ArmFamily, comparisons: dict[str, Comparison], ours: Collecti
             if one in ours and one != rival:
                 pairs.append(pair(variant, found, one, rival))
     return Evaluation(family=family, comparisons=comparisons, best=best, pairs=tuple(pairs))
-
-
-def outcome_path(folder: Path, where: str, controller: str) -> Path:
-    """Where the trials of a controller on some arms are kept."""
-    name = re.sub(r"[^\w.-]+", "-", f"{where}--{controller}")
-    return folder / "outcomes" / f"{name}.json"
 
 
 def together(found: Mapping[str, Sequence[Columns]], targets: Array, family: ArmFamily) -> Comparison:
