@@ -56,7 +56,6 @@ def test_motions_that_the_fit_never_saw_are_predicted(logs):
         contact_seconds=40.0,
     )
     found = identify_logs(ARM, logs, settings)
-    assert sorted(found.fitted) == sorted(FITTED_TO)
     mean = found.judgement.mean
     assert mean[FITTED].free.tcp < 3e-3
     assert mean[FITTED].all.tcp < 4.5e-3
