@@ -225,12 +225,11 @@ class Observer:
         *,
         twin: object = None,  # noqa: ARG002 - for those who show it
         within: float | None = None,  # noqa: ARG002
-        paced: bool | None = None,  # noqa: ARG002
+        paced: bool = True,  # noqa: ARG002
     ) -> Robot:
         """Return the robot to drive, perhaps wrapped.
 
-        ``twin``: the `Twin` or None; ``within`` [m]: accepted error; ``paced``: virtual time may be slowed (None: by
-        the address).
+        ``twin``: the `Twin` or None; ``within`` [m]: accepted error; ``paced``: virtual time may be slowed.
         """
         return robot
 

@@ -412,10 +412,10 @@ class ArmDriver:
             self._stack.enter_context(self._gains)
             self._base = guard_limits(self.run, self.arm, robot.address)
             self.limits = limits_under(self._base, robot, None)
-            pace, paced = self._pace, None if self._pace is None else False
+            pace = self._pace
             if pace is not None and (self.rehearsal is not None or virtual):
                 robot = WallClock(robot, lambda: pace)
-            return self.observer.watch(robot, twin=self.twin, within=self.settings.within, paced=paced)
+            return self.observer.watch(robot, twin=self.twin, within=self.settings.within, paced=pace is None)
 
     @contextmanager
     def metered(self, stage: str) -> Iterator[Robot]:

@@ -151,16 +151,16 @@ class LiveView(Observer):
         *,
         twin: Any = None,  # noqa: ANN401 - a `Twin`, which `Observer` does not know
         within: float | None = None,
-        paced: bool | None = None,
+        paced: bool = True,
     ) -> Robot:
         """Return a shown robot, with its ``twin`` as a ghost.
 
-        ``within`` [m]: accepted error; virtual time, or ``paced``, runs at the page's pace.
+        ``within`` [m]: accepted error; virtual time runs at the page's pace, if it is ``paced``.
         """
-        slowed = is_virtual(robot.address) if paced is None else paced
+        paced = paced and is_virtual(robot.address)
         accepted = Protocol.threshold if within is None else within
-        self.shown = Shown(robot=robot, twin=twin, within=accepted, paced=slowed)
-        if slowed:
+        self.shown = Shown(robot=robot, twin=twin, within=accepted, paced=paced)
+        if paced:
             robot = WallClock(robot, lambda: 1.0 if self._page is None else self._page.pace)
         return _LiveRobot(robot, self, self.shown)
 
