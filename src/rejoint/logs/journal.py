@@ -118,9 +118,10 @@ def recover(folder: Path) -> tuple[Path, ...]:
     found = []
     for file in sorted(folder.glob(f".*{_ENDING}")):
         path = folder / f"{file.name[1 : -len(_ENDING)]}.parquet"
-        if not path.exists() and (made := _convert(file, path)):  # where it exists, only the removal was missing
+        if path.exists():  # only the removal was missing
+            file.unlink()
+        elif made := _convert(file, path):
             found.append(made)
-        file.unlink(missing_ok=True)
     return tuple(found)
 
 

@@ -194,7 +194,7 @@ def runs_below(folder: Path) -> dict[RunFolder, RunInfo]:
             found[RunFolder(path.parent)] = read_info(path)
         except FileError as error:
             LOGGER.warning("left out: %s", error)
-    return dict(sorted(found.items(), key=lambda run: (run[1].created, run[0].path), reverse=True))
+    return dict(sorted(found.items(), key=lambda run: (run[1].created, run[0].info.stat().st_mtime), reverse=True))
 
 
 def read_info(path: Path) -> RunInfo:
