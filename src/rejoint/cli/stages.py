@@ -306,11 +306,11 @@ def goto(
         except NotReachedError as error:
             call.code = MISSED
             call.result(f"Not reached: {error}")
-        found = session.state
+        found, by = session.state, "encoders" if session.correction is None else "calibration"
     error_mm = None if found.error_m is None else 1e3 * found.error_m
     if error_mm is not None and not call.code:
         place = ", ".join(f"{1e3 * value:.1f}" for value in found.tool_m)
-        call.result(f"By the encoders the tool is at ({place}) mm, {error_mm:.2f} mm off.")
+        call.result(f"By the {by} the tool is at ({place}) mm, {error_mm:.2f} mm off.")
     return {"target_mm": [x, y, z], "error_mm": error_mm, "reached": not call.code}
 
 
