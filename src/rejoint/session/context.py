@@ -291,7 +291,10 @@ class ControllerMaker:
         asked = given or self.contenders(real=real, posed=posed)
         factories = {name: self._factory(one) for name, one in named(asked).items()}
         for name, make in factories.items():
-            controller = make(self.arm)
+            try:
+                controller: object = make(self.arm)
+            except (TypeError, AttributeError) as error:  # as of a class, or of a function of the inputs
+                controller = error
             if isinstance(controller, type) or not isinstance(controller, Controller):
                 raise InputError(
                     f"controller {name}: expected its name, an object with name, reset and command, or a function of "
