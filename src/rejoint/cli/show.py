@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,12 +23,9 @@ if TYPE_CHECKING:
 
 
 def stage(name: str, result: Any) -> Shown:  # noqa: ANN401 - of each stage another
-    """Yield what the function ``name`` of the front door returned, by that of the same name here.
-
-    Nothing for None, a result that was kept.
-    """
-    if result is not None and name in globals():
-        yield from globals()[name](result)
+    """Yield what the function ``name`` of the front door returned; nothing for None, a result that was kept."""
+    if result is not None and name in STAGES:
+        yield from STAGES[name](result)
 
 
 def diagnose(done: rejoint.Diagnosed) -> Shown:
@@ -241,3 +238,9 @@ def _degrees(angle: float | None) -> str:
 def _gaps(gaps: Sequence[float]) -> Shown:
     if gaps:
         yield f"The answers stayed away {len(gaps)} times, for up to {max(gaps):.1f} s; the arm held meanwhile."
+
+
+STAGES: dict[str, Callable[[Any], Shown]] = {
+    one.__name__: one for one in (diagnose, calibrate, identify, gains, train, compare, deploy, follow, check, fleet)
+}
+"""What yields the result of a stage, by its name"""
