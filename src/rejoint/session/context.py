@@ -291,15 +291,16 @@ class ControllerMaker:
         asked = given or self.contenders(real=real, posed=posed)
         factories = {name: self._factory(one) for name, one in named(asked).items()}
         for name, make in factories.items():
+            cause: Exception | None = None
             try:
                 controller: object = make(self.arm)
             except (TypeError, AttributeError) as error:  # as of a class, or of a function of the inputs
-                controller = error
+                controller = cause = error
             if isinstance(controller, type) or not isinstance(controller, Controller):
                 raise InputError(
                     f"controller {name}: expected its name, an object with name, reset and command, or a function of "
                     f"an Arm that returns one; got {controller!r}"
-                )
+                ) from cause
             check_controller_period(controller, self.usual)
             if posed and not heeds_turn(controller):
                 raise _turns_nothing(name)
