@@ -12,8 +12,8 @@ ARM = mycobot280()
 
 def test_it_leaves_a_policy_that_loads(tmp_path):
     gains = {"p": (32,) * 6}
-    given = {"preset": RECIPE, "learner": SacLearner, "agents": 8, "iterations": 2}
-    result = train(ARM, None, out=tmp_path, options=TrainingOptions(**given, servo_gains=gains, seed=3))
+    options = TrainingOptions(preset=RECIPE, learner=SacLearner, agents=8, iterations=2, servo_gains=gains, seed=3)
+    result = train(ARM, None, out=tmp_path, options=options)
     controller = load_policy(result.policy, ARM)
     contract = controller.contract
     assert (contract.preset, contract.seed, contract.servo_gains) == ("sac", 3, gains)

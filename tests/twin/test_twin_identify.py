@@ -79,7 +79,7 @@ def test_worn_motors_are_not_called_stronger_than_they_are():
     robot = open_robot("emulated:worn?seed=3", arm=arm)
     found, worn = identify(arm, [record(robot, seed=0)[0].excitation]), robot.plant.joints
     low = found.interval[0].torque_limit / found.parameters.stiffness
-    assert (low < 1.7 * worn["torque_limit"] / worn["position_gain"]).all()
+    assert (low < 1.3 * worn["torque_limit"] / worn["position_gain"]).all()
 
 
 def test_a_torque_limit_that_explains_no_motion_is_not_claimed(arm, log, truth):

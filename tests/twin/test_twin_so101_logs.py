@@ -56,9 +56,12 @@ def test_motions_that_the_fit_never_saw_are_predicted(logs):
         contact_seconds=40.0,
     )
     found = identify_logs(ARM, logs, settings)
+    assert sorted(found.fitted) == sorted(FITTED_TO)
     mean = found.judgement.mean
-    assert mean[FITTED].free.tcp < 3e-3
-    assert mean[FITTED].all.tcp < 4.5e-3
-    assert mean[FITTED].free.tcp < 0.25 * mean[HEALTHY].free.tcp
+    fitted = mean[FITTED]
+    assert fitted.free.tcp < 3e-3
+    assert fitted.free.joint < np.radians(0.30)
+    assert fitted.all.tcp < 4.5e-3
+    assert fitted.free.tcp < 0.25 * mean[HEALTHY].free.tcp
     assert found.table is not None
     assert np.ptp(np.log(found.parameters.stiffness)) < 0.15  # five servos of one type at the same gains
