@@ -192,10 +192,10 @@ def test_a_motor_too_weak_for_its_load_is_no_dead_encoder():
     assert np.degrees(recording.command[-1, 0, 1] - recording.position[-1, 0, 1]) > 15.0
 
 
-def test_a_joint_that_falls_ends_a_motion_that_watches_for_it():
+def test_a_joint_that_falls_ends_any_motion():
     wear = load_wear("healthy", ARM)
     robot = EmulatedRobot(ARM, [replace(wear, torque_limit=np.where(np.arange(6) == 1, 0.02, 1.0) * wear.torque_limit)])
-    schedule = Schedule(dwell=6.0, keep_going=True, watch_falls=True)
+    schedule = Schedule(dwell=6.0, keep_going=True)
     recording = run(robot, make_controller("default", ARM), np.array([[[0.2, 0.0, 0.2]]]), schedule, limits=LIMITS)
     assert recording.tripped[0] == Reason.NOT_FOLLOWING
 

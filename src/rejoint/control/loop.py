@@ -87,8 +87,6 @@ class Schedule:
     """called once per cycle: whether the arms are done, and hold"""
     ways: float | None = None
     """[s] of the dwell for a planned way, from whose start times count; None: from its end"""
-    watch_falls: bool = False
-    """a joint that moves away from its command trips"""
 
 
 def run(
@@ -360,9 +358,7 @@ class RunState:
         if fresh.any():
             self.controller.reset(inputs, fresh)
         aimed = np.isfinite(inputs.target[:, 0])
-        self.unbelieved = self.following.check(
-            self.state, self.sent, aimed, inputs.goal if self.schedule.watch_falls else None
-        )
+        self.unbelieved = self.following.check(self.state, self.sent, aimed, inputs.goal)
         asked, who = self.controller.command(inputs), f"command of the controller {self.controller.name}"
         asked = as_floats(who, asked, expected := f"joint positions {self.sent.shape}: arms, joints")
         if asked.shape != self.sent.shape:

@@ -575,7 +575,7 @@ class ArmDriver:
         """
         check_controller_period(controller, self.usual)
         self.take_up(controller)
-        plan = replace(schedule, sent=self._sent, watch_falls=True)
+        plan = replace(schedule, sent=self._sent)
         return self._seen_through(
             lambda see: run(self.robot, controller, reference, plan, limits=self.limits, on_cycle=see),
             self.recorder.see,
