@@ -6,10 +6,9 @@ from functools import cache
 import numpy as np
 
 from rejoint.arms import so101
-from rejoint.control.guard import GuardLimits
-from rejoint.control.start import move, play
 from rejoint.diagnosis.excitation import record
 from rejoint.diagnosis.healthy import SEED, reference_from
+from rejoint.logs.runlog import RunLog
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.plant.wear import load_wear
 
@@ -17,6 +16,8 @@ ARM = so101()
 PLAIN = dataclasses.replace(ARM, servos=())
 """With servos whose stiffness is that of the wear, and not of what stands in their registers"""
 HEALTHY = load_wear("healthy", ARM)
+PERIOD, STEP = 0.025, 0.05
+"""[s], and most [rad] by which commands change in it"""
 
 
 def with_joint(joint, healthy=HEALTHY, **values):
@@ -55,13 +56,19 @@ def wandering(seed, seconds, size=0.3):
 
 
 def record_motions(wears, count, seconds, seed=0):
-    """Lists of ``count`` run logs, one list for each wear."""
-    robot, limits = EmulatedRobot(PLAIN, wears, seed=seed), GuardLimits.of(ARM).of_simulation()  # nothing to touch
-    logs = [[] for _ in wears]
+    """Lists of ``count`` run logs, one list for each wear; as strangers do, without a guard."""
+    robot, logs = EmulatedRobot(PLAIN, wears, seed=seed), [[] for _ in wears]
     for motion in range(count):
         centre, command = wandering(100 * seed + motion, seconds)
-        move(robot, centre)
-        recording = play(robot, command, seconds, limits=limits)
+        sent, rows = robot.read().position, []
+        for now in np.arange(-4.0, seconds, PERIOD):
+            before = robot.read()
+            way = (centre if now < 0.0 else command([now])) - sent
+            sent = sent + np.clip(way, -STEP, STEP)
+            rows.append((before.time, before.position, sent))
+            robot.step(sent)
+        time, position, sent = (np.array(each[int(4.0 / PERIOD) :]) for each in zip(*rows, strict=True))
         for arm, found in enumerate(logs):
-            found.append(recording.log(arm, f"motion{motion}"))
+            columns = {"time": time[:, arm], "position": position[:, arm], "command": sent[:, arm]}
+            found.append(RunLog.of(**columns, arm=PLAIN, label=f"motion{motion}"))
     return logs
