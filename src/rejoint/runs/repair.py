@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,7 +20,7 @@ from rejoint.robots import is_virtual, place_of
 from rejoint.runs.history import summarise
 from rejoint.runs.run import Run, exclusive, finish, staged
 from rejoint.runs.stages.calibrate import calibrate
-from rejoint.runs.stages.compare import ONE_ARM_PROTOCOL, Compared, ComparisonJob, TrialPlan, compare, comparison_job
+from rejoint.runs.stages.compare import ONE_ARM_PROTOCOL, Compared, TrialPlan, compare
 from rejoint.runs.stages.diagnose import Diagnosed, diagnose
 from rejoint.runs.stages.fitting import gains, identify, train
 from rejoint.session.context import ControllerMaker, Controllers, named
@@ -41,7 +40,6 @@ from rejoint.session.inputs import (
     period_of,
     settled,
 )
-from rejoint.session.session import Session
 from rejoint.system.errors import InputError
 from rejoint.system.extras import require
 from rejoint.system.records import as_options, entity
@@ -203,13 +201,6 @@ def repair(
     if only is not None and only not in files:
         raise InputError(f"this repair has no stage {only}; it has: {', '.join(files)}")
     found = about.begin()
-    prepared = partial(_comparison, robot, found, what, chosen, quick=quick)
-    ahead = None
-
-    def compared(observer: Observer) -> Compared:
-        with prepared(observer) as job:
-            return job.drive(observer.progress, ahead)
-
     points = QUICK_POINTS if quick and not what.gauge else None
     works: dict[StageName, Callable[..., object]] = {
         "diagnose": partial(diagnose, robot, run=found, quick=quick, settings=chosen),
@@ -217,33 +208,21 @@ def repair(
         "identify": partial(identify, run=found),
         "gains": partial(gains, robot, found, settings=chosen),
         "train": partial(train, run=found, preset=what.preset, quick=quick),
-        "compare": compared,
+        "compare": partial(_compare, robot, found, what, chosen, quick=quick),
         "report": lambda observer: report(found),  # noqa: ARG005
     }
-    done = found.folder.policy.exists() or found.folder.comparison.exists()
-    early = is_virtual(robot) and only is None and not (what.controllers or done)
-    with ExitStack() as stack:
-        for number, (name, file) in enumerate(files.items(), start=1):
-            if name == "train" and early:  # a comparison of an emulated arm begins during the training
-                with prepared(Observer()) as job:
-                    ahead = job.begin_ahead()
-                if ahead is not None:
-                    stack.enter_context(closing(ahead))
-            if only in (None, name):
-                stage = Stage(name=name, state="started", file=file, number=number, total=len(files))
-                _do(stage, works[name], found, watching)
+    for number, (name, file) in enumerate(files.items(), start=1):
+        if only in (None, name):
+            stage = Stage(name=name, state="started", file=file, number=number, total=len(files))
+            _do(stage, works[name], found, watching)
     watching.progress(1.0, "done")
     return found
 
 
-@contextmanager
-def _comparison(
-    robot: RobotLike, run: Run, plan: RepairPlan, settings: Settings, observer: Observer, *, quick: bool
-) -> Iterator[ComparisonJob]:
-    compared = replace(settings, calibration=NO_GAUGE) if plan.gauge == NO_GAUGE else settings
-    targets = plan.targets
-    given = as_options(plan.trials, TrialPlan)
-    emulated = is_virtual(robot)
+def _compare(
+    robot: RobotLike, run: Run, plan: RepairPlan, settings: Settings, *, quick: bool, observer: Observer
+) -> Compared:
+    given, targets, emulated = as_options(plan.trials, TrialPlan), plan.targets, is_virtual(robot)
     small = ONE_ARM_PROTOCOL if quick else Protocol(crossings=False)
     usual = TrialPlan(
         sets=1 if quick else 3 if emulated else None,
@@ -253,8 +232,9 @@ def _comparison(
     trials = replace(usual, **{name: value for name, value in vars(given).items() if value is not None})
     if quick and targets is None:
         targets = draw_targets(run.arm, sets=1, count=QUICK_TARGETS, seed=run.seed)
-    with Session(robot, run=run, settings=compared, observer=observer) as session:
-        yield comparison_job(session, plan.controllers, targets, trials)
+    if plan.gauge == NO_GAUGE:
+        settings = replace(settings, calibration=NO_GAUGE)
+    return compare(robot, plan.controllers, targets, run=run, plan=trials, settings=settings, observer=observer)
 
 
 def _do(stage: Stage, work: Callable[..., object], run: Run, observer: Observer) -> None:

@@ -157,15 +157,15 @@ class ComparisonJob:
         posed, period = self.trials.get("turns") is not None, period_of(self.robot, self.period)
         return self.runner(ControllerMaker(self.arm, period, self.run, self.twin).factories([name], posed=posed))
 
-    def drive(self, on_progress: Progress, helper: HelperProcess | None = None) -> Compared:
-        """Compare; in a run, resume and write. Closes ``helper``."""
+    def drive(self, on_progress: Progress) -> Compared:
+        """Compare; in a run, resume and write."""
         run = self.run
         if run is None:
-            return self._drive(Ledger(), on_progress, helper)
+            return self._drive(Ledger(), on_progress)
         require_space(run.path)
         ledger = Ledger(run.folder.trials, self.fingerprint(run))
         try:
-            found = self._drive(ledger, on_progress, helper)
+            found = self._drive(ledger, on_progress)
         except BaseException as error:
             if ledger.done:
                 kept = f"{len(ledger.done)} finished trials are kept. The same command continues"
@@ -177,7 +177,7 @@ class ComparisonJob:
             summarise(run)
         return found
 
-    def _drive(self, ledger: Ledger, on_progress: Progress, ahead: HelperProcess | None) -> Compared:
+    def _drive(self, ledger: Ledger, on_progress: Progress) -> Compared:
         logs = {}
         before = self.before if DEFAULT in self.factories else None
 
@@ -190,7 +190,7 @@ class ComparisonJob:
             if (driven.key.places[0], driven.key.first) == ((0, 0), 0):  # one of each suffices for the figures
                 keep(driven.key.label, recording.log(0, driven.key.label))
 
-        helper = ahead or self.begin_ahead()
+        helper = self._helper()
         with noted(), staged(self.run, "compare") as watch, nullcontext() if helper is None else closing(helper):
             runner = self.runner(
                 self.factories,
@@ -218,7 +218,7 @@ class ComparisonJob:
         )
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
 
-    def begin_ahead(self) -> HelperProcess | None:
+    def _helper(self) -> HelperProcess | None:
         """Start a second process with the trials, if they are worth one and a core is free."""
         size = self.targets[..., 0].size * self.settings.repetitions * len(self.factories)
         by_name = all(told == name for name, told in self.given.items())  # another process can make them
@@ -226,10 +226,7 @@ class ComparisonJob:
         if not (plain and self.settings.batched and size >= LEAST and os.name == "posix" and free_cores() > 1):
             return None
         trials = self.trials | {"model": None}
-        helper = HelperProcess(replace(self, factories={}, trials=trials, before=None, observer=Observer()))
-        for key in self.runner(self.factories).asked()[::-1]:  # the slowest first
-            helper(key)
-        return helper
+        return HelperProcess(replace(self, factories={}, trials=trials, before=None, observer=Observer()))
 
     def _open(self, count: int, seed: int) -> Robot:
         robot = (
