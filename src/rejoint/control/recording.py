@@ -198,9 +198,6 @@ class Observer:
     >>> rejoint.deploy("emulated:worn", observer=Printing())
     """
 
-    shows: bool = False
-    """shows moving arms: trials then run in this process"""
-
     def message(self, line: str) -> None:
         """Receive a sentence for the user."""
 
@@ -247,7 +244,6 @@ class Observers(Observer):
 
     def __init__(self, *observers: Observer) -> None:
         self.observers = observers
-        self.shows = any(one.shows for one in observers)
 
     message, progress, stage = _to_all("message"), _to_all("progress"), _to_all("stage")
     partial, served, cycle = _to_all("partial"), _to_all("served"), _to_all("cycle")

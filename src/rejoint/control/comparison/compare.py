@@ -6,7 +6,6 @@ NIPS 1993; Bonferroni's level).
 """
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import KW_ONLY, dataclass, field, replace
 from itertools import product
@@ -44,7 +43,6 @@ from rejoint.system.errors import ContractError, GuardTripError
 from rejoint.system.files import read_json, set_aside, write_json
 from rejoint.system.numbers import as_whole
 from rejoint.system.progress import Progress, no_progress
-from rejoint.system.stopping import pause
 
 
 class Ledger:
@@ -75,10 +73,6 @@ class Ledger:
 OpenRobot = Callable[[int, int], Robot]
 """(arms, noise seed) to a robot"""
 Result = tuple[Driven, Recording]
-Helper = Callable[[Key], Future[Result]]
-"""Drives trials elsewhere"""
-
-_LOOK = 0.02  # [s]
 
 BLOCK = 5
 """targets between eliminations (chosen)"""
@@ -141,7 +135,6 @@ class TrialRunner:
     """trials of one arm, driven before"""
     on_progress: Progress = no_progress
     on_trial: Callable[[Driven, Recording], object] = field(default=lambda *_: None)
-    helper: Helper | None = None
 
     def __post_init__(self) -> None:
         settings, (sets, count) = self.settings, self.targets.shape[:2]
@@ -183,28 +176,10 @@ class TrialRunner:
     # --- side by side -------------------------------------------------------------------------
 
     def _side_by_side(self) -> None:
-        asked = self.asked()
-        left, waiting = [key for key in asked if key not in self.ledger.done], []
-        beside = {key: self.helper(key) for key in left[::-1]} if self.helper and len(left) > 1 else {}
-        for key in asked:
-            if key in beside and not beside[key].cancel():
-                waiting.append(key)
-            else:
-                self._take(self.ledger.done.get(key) or self.drive_batch(key)[0])
-        for key in waiting:
-            while not beside[key].done():
-                pause(_LOOK)
-            if beside[key].exception() is None:
-                driven, recording = beside[key].result()
-                self.on_trial(driven, recording)
-            else:  # what the helper lost
-                driven, _ = self.drive_batch(key)
-            self._take(driven)
-
-    def asked(self) -> list[Key]:
-        """Trials of each controller and protocol side by side."""
         places = tuple(product(range(self.shape[0]), range(self.shape[1])))
-        return [Key(name, kind, places) for name, kind in product(self.controllers, self.settings.protocol.kinds)]
+        for name, kind in product(self.controllers, self.settings.protocol.kinds):
+            key = Key(name, kind, places)
+            self._take(self.ledger.done.get(key) or self.drive_batch(key)[0])
 
     def drive_batch(self, key: Key) -> Result:
         """Drive a controller's trials side by side, each on an arm."""

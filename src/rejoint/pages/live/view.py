@@ -101,8 +101,6 @@ class LiveView(Observer):
     ...     rejoint.deploy("emulated:worn", observer=view)
     """
 
-    shows = True
-
     def __init__(self, host: str = HOST, port: int = PORT, page: Callable[[str, int], WebPage] | None = None) -> None:
         """Serve at ``host`` and ``port`` (0: any free one), without a password, perhaps another kind of ``page``."""
         self._host, self._port, self._kind = host, port, page

@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
-from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from secrets import token_hex
 from typing import Any, NamedTuple
@@ -19,7 +12,7 @@ import numpy as np
 from rejoint.arms import Arm, Array
 from rejoint.arms.inertia import LoadedArm
 from rejoint.arms.postures import find_postures
-from rejoint.control.comparison.compare import BLOCK, Ledger, OpenRobot, Result, TrialRunner
+from rejoint.control.comparison.compare import BLOCK, Ledger, TrialRunner
 from rejoint.control.comparison.compare import Settings as TrialSettings
 from rejoint.control.comparison.protocols import measure
 from rejoint.control.comparison.recommend import Recommendation, recommend
@@ -57,13 +50,12 @@ from rejoint.session.inputs import (
     Targets,
     address_of,
     as_targets,
-    period_of,
 )
 from rejoint.session.session import Session
 from rejoint.system.files import digest, require_space, saving, set_aside, write_json
 from rejoint.system.progress import Progress
 from rejoint.system.records import Readable, as_options, entity
-from rejoint.system.shell import __version__, free_cores, give_back
+from rejoint.system.shell import __version__
 from rejoint.system.stopping import noted
 from rejoint.twin.twin import Twin
 
@@ -145,18 +137,6 @@ class ComparisonJob:
     given: dict[str, str] = field(default_factory=dict)
     """what tells each given controller from others of its name"""
 
-    def runner(self, factories: Mapping[str, Factory], opened: OpenRobot | None = None, **hooks: Any) -> TrialRunner:  # noqa: ANN401
-        """Runner of the trials of some controllers; ``hooks`` are further fields of it."""
-        limits = guard_limits(self.run, self.arm, address_of(self.robot))  # not sent: compiled code asks for read-only
-        return TrialRunner(
-            opened or self._open, factories, self.targets, self.settings, limits=limits, **self.trials, **hooks
-        )
-
-    def runner_of(self, name: str) -> TrialRunner:
-        """Runner of a named controller's trials, in another process."""
-        posed, period = self.trials.get("turns") is not None, period_of(self.robot, self.period)
-        return self.runner(ControllerMaker(self.arm, period, self.run, self.twin).factories([name], posed=posed))
-
     def drive(self, on_progress: Progress) -> Compared:
         """Compare; in a run, resume and write."""
         run = self.run
@@ -190,18 +170,19 @@ class ComparisonJob:
             if (driven.key.places[0], driven.key.first) == ((0, 0), 0):  # one of each suffices for the figures
                 keep(driven.key.label, recording.log(0, driven.key.label))
 
-        helper = self._helper()
-        with noted(), staged(self.run, "compare") as watch, nullcontext() if helper is None else closing(helper):
-            runner = self.runner(
-                self.factories,
+        with noted(), staged(self.run, "compare") as watch:
+            runner = TrialRunner(
                 lambda count, seed: watch(self._open(count, seed)),
+                self.factories,
+                self.targets,
+                self.settings,
+                **self.trials,
                 on_progress=on_progress,
                 on_trial=see,
                 ledger=ledger,
                 measured=None if before is None else before.driven,
-                helper=helper,
             )
-            found = None  # of the uncorrected arm, where it is to be corrected, beside the helper's work
+            found = None  # of the uncorrected arm, where it is to be corrected
             if runner.correction is not None and runner.turns is None and DEFAULT in self.factories:
                 found = TargetErrors.of(before.driven.columns) if before else runner.as_found()
             result = runner.compare()
@@ -217,16 +198,6 @@ class ComparisonJob:
             calibration=model.date if model else "",
         )
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
-
-    def _helper(self) -> HelperProcess | None:
-        """Start a second process with the trials, if they are worth one and a core is free."""
-        size = self.targets[..., 0].size * self.settings.repetitions * len(self.factories)
-        by_name = all(told == name for name, told in self.given.items())  # another process can make them
-        plain = by_name and isinstance(self.robot, str) and not self.observer.shows
-        if not (plain and self.settings.batched and size >= LEAST and os.name == "posix" and free_cores() > 1):
-            return None
-        trials = self.trials | {"model": None}
-        return HelperProcess(replace(self, factories={}, trials=trials, before=None, observer=Observer()))
 
     def _open(self, count: int, seed: int) -> Robot:
         robot = (
@@ -399,6 +370,7 @@ def comparison_job(
         trials={
             "turns": turns,
             "ways": ways,
+            "limits": guard_limits(run, arm, address_of(robot)),
             "stance": stance_of(twin, run),
             "correction": correction_of(model, arm, points),
             "model": model,
@@ -407,59 +379,3 @@ def comparison_job(
         given={name: _identity(one) for name, one in named(controllers).items()},
         before=before,
     )
-
-
-LEAST = 300
-"""Targets of all trials that are worth a helper; chosen"""
-
-_START = "import sys; sys.path[:] = {path!r}; from rejoint.runs.stages.compare import main; main({line})"
-
-
-class HelperProcess:
-    """A running helper; close it."""
-
-    def __init__(self, job: ComparisonJob) -> None:
-        self._line, other = Pipe()
-        self._process: subprocess.Popen[bytes] | None = None
-        with other, suppress(OSError):  # no process to be had: its tasks fail
-            self._process = subprocess.Popen(  # noqa: S603 - this very interpreter
-                [sys.executable, "-c", _START.format(path=sys.path, line=other.fileno())],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                pass_fds=(other.fileno(),),
-                start_new_session=True,  # Ctrl-C is for the process that started it
-            )
-        self._asking = ThreadPoolExecutor(1)
-        self._asking.submit(self._line.send, job)
-        self._futures: dict[Key, Future[Result]] = {}
-
-    def __call__(self, key: Key) -> Future[Result]:
-        """Have trials driven, once."""
-        if key not in self._futures:
-            self._futures[key] = self._asking.submit(self._ask, key)
-        return self._futures[key]
-
-    def _ask(self, key: Key) -> Result:
-        self._line.send(key)
-        return self._line.recv()
-
-    def close(self) -> None:
-        """End the process."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-        self._asking.shutdown(cancel_futures=True)
-        self._line.close()
-
-
-def main(line: int) -> None:
-    """Serve `HelperProcess` at file descriptor ``line`` to its end."""
-    asked = Connection(line)
-    with suppress(OSError, EOFError):
-        job: ComparisonJob = asked.recv()
-        while True:
-            key: Key = asked.recv()
-            driven, recording = job.runner_of(key.controller).drive_batch(key)
-            asked.send((driven, recording.of(slice(1))))
-            give_back()
