@@ -10,7 +10,7 @@ from test_ledger import stop_after
 import rejoint
 from rejoint.arms import Box
 from rejoint.arms.inertia import loaded
-from rejoint.control.comparison.compare import BLOCK, LEVEL, Ledger, Settings, worse
+from rejoint.control.comparison.compare import BLOCK, LEVEL, Ledger, Settings, TrialRunner, worse
 from rejoint.control.comparison.recommend import failure, recommend
 from rejoint.control.controllers.classical import DefaultController, IntegratorController
 from rejoint.control.loop import Schedule, run
@@ -275,9 +275,8 @@ def test_a_real_arm_is_compared_in_blocks_and_goes_on_from_its_diagnosis(tmp_pat
 def test_trials_with_another_load_or_other_boxes_are_not_gone_on_from(tmp_path):
     run, box = Run.create(tmp_path, "emulated:worn", ARM), Box(lower=np.full(3, 0.5), upper=np.ones(3))
     arms = ARM, loaded(ARM, 0.1), loaded(ARM, 0.2), loaded(ARM, 0.1, [0.0, 0.0, 0.01]), replace(ARM, keep_out=(box,))
-    jobs = [
-        ComparisonJob(robot=run.robot, arm=arm, targets=TWENTY, settings=Settings(batched=True)) for arm in (*arms, ARM)
-    ]
+    trials = TrialRunner(SaggingRobot, {}, TWENTY, Settings(batched=True))
+    jobs = [ComparisonJob(robot=run.robot, arm=arm, trials=trials) for arm in (*arms, ARM)]
     assert len({job.fingerprint(run) for job in jobs}) == len(arms)
 
 

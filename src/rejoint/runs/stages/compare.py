@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from secrets import token_hex
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from rejoint.runs.run import Run, staged
 from rejoint.session.context import (
     ControllerMaker,
     Controllers,
-    Factory,
     believed_motors,
     correction_of,
     guard_limits,
@@ -57,7 +56,6 @@ from rejoint.system.progress import Progress
 from rejoint.system.records import Readable, as_options, entity
 from rejoint.system.shell import __version__
 from rejoint.system.stopping import noted
-from rejoint.twin.twin import Twin
 
 DEFAULT = DefaultController.name
 
@@ -123,17 +121,13 @@ class ComparisonJob:
 
     robot: RobotLike
     arm: Arm
-    targets: Array
-    settings: TrialSettings
+    trials: TrialRunner
     run: Run | None = None
-    factories: dict[str, Factory] = field(default_factory=dict)
     period: Period | None = None
-    twin: Twin | None = None
-    trials: dict[str, Any] = field(default_factory=dict)
-    """what holds for the trials of all controllers: fields of `TrialRunner`"""
     before: OpenLoopTrials | None = None
     """the diagnosis's trials of the first set, if used"""
-    observer: Observer = field(default_factory=Observer)
+    calibration: str = ""
+    """date of the calibration, if any"""
     given: dict[str, str] = field(default_factory=dict)
     """what tells each given controller from others of its name"""
 
@@ -158,8 +152,7 @@ class ComparisonJob:
         return found
 
     def _drive(self, ledger: Ledger, on_progress: Progress) -> Compared:
-        logs = {}
-        before = self.before if DEFAULT in self.factories else None
+        logs, before, trials = {}, self.before, self.trials
 
         def keep(label: str, log: RunLog) -> None:
             logs[label.replace("/", "-")] = log  # as `Run.logs` calls it
@@ -171,51 +164,38 @@ class ComparisonJob:
                 keep(driven.key.label, recording.log(0, driven.key.label))
 
         with noted(), staged(self.run, "compare") as watch:
-            runner = TrialRunner(
-                lambda count, seed: watch(self._open(count, seed)),
-                self.factories,
-                self.targets,
-                self.settings,
-                **self.trials,
+            runner = replace(
+                trials,
+                open_robot=lambda count, seed: watch(trials.open_robot(count, seed)),
                 on_progress=on_progress,
                 on_trial=see,
                 ledger=ledger,
-                measured=None if before is None else before.driven,
             )
             found = None  # of the uncorrected arm, where it is to be corrected
-            if runner.correction is not None and runner.turns is None and DEFAULT in self.factories:
+            if trials.correction is not None and trials.turns is None and DEFAULT in trials.controllers:
                 found = TargetErrors.of(before.driven.columns) if before else runner.as_found()
             result = runner.compare()
         if before is not None and self.run is not None:
             keep(before.log.label, before.log)
-        model = self.trials.get("model")
         result = replace(
             result,
             as_found=found,
             robot=address_of(self.robot),
             arm=self.arm.name,
             period=self.period,
-            calibration=model.date if model else "",
+            calibration=self.calibration,
         )
         return Compared(comparison=result, recommendation=recommend(result), logs=logs)
-
-    def _open(self, count: int, seed: int) -> Robot:
-        robot = (
-            open_robot(self.robot, arm=self.arm, seed=seed, count=count, period=self.period)
-            if isinstance(self.robot, str)
-            else Borrowed(self.robot)
-        )
-        return self.observer.watch(robot, twin=self.twin, within=self.settings.protocol.threshold)
 
     def fingerprint(self, run: Run) -> str:
         """Return what the trials depend on: those of another one are driven again."""
         used = run.folder.policy, run.folder.twin, run.folder.gains
         files = [digest(path.read_bytes()) for path in used if path.exists()]
-        turns = self.trials.get("turns")
+        trials, turns = self.trials, self.trials.turns
         turned = turns and [part.tolist() for part in (turns.rotation, turns.whole, turns.weight)]
-        options = self.period, self.trials.get("correction"), self.before is None, turned
-        tried = list(self.factories), self.given
-        about = setup_of(self.arm), self.settings, tried, self.targets.tolist(), files, options
+        options = self.period, trials.correction, self.before is None, turned
+        tried = list(trials.controllers), self.given
+        about = setup_of(self.arm), trials.settings, tried, trials.targets.tolist(), files, options
         return digest(repr((__version__, address_of(self.robot), about)).encode())
 
 
@@ -338,7 +318,7 @@ def comparison_job(
     else:
         ways = [session.ways(one, turns and turns[k], motors) for k, one in enumerate(points)]
         longest = round(0.05 + max(way.duration for row in ways for way in row), 1)
-    trials = TrialSettings(
+    sizes = TrialSettings(
         repetitions=(1 if block else REPETITIONS) if plan.repetitions is None else plan.repetitions,
         seed=session.seed,
         batched=not real,
@@ -355,27 +335,41 @@ def comparison_job(
     model, before = session.calibration, None
     if block and run and targets is None and not isinstance(arm, LoadedArm) and session.address == run.robot:
         path = run.folder.log("targets")  # of the diagnosis
-        before = open_loop_trials(run.arm, RunLog.load(path), trials.protocol, model) if path.exists() else None
+        before = open_loop_trials(run.arm, RunLog.load(path), sizes.protocol, model) if path.exists() else None
         points[0] = points[0] if before is None else before.targets
-    posed = turns is not None
+    factories = ControllerMaker(arm, session.period, run, twin).factories(
+        controllers, real=real, posed=turns is not None
+    )
+    before = before if DEFAULT in factories else None
+
+    def connect(count: int, seed: int) -> Robot:
+        opened = (
+            open_robot(robot, arm=arm, seed=seed, count=count, period=settings.period)
+            if isinstance(robot, str)
+            else Borrowed(robot)
+        )
+        return session.observer.watch(opened, twin=twin, within=sizes.protocol.threshold)
+
+    trials = TrialRunner(
+        connect,
+        factories,
+        points,
+        sizes,
+        turns=turns,
+        ways=ways,
+        limits=guard_limits(run, arm, address_of(robot)),
+        stance=stance_of(twin, run),
+        correction=correction_of(model, arm, points),
+        model=model,
+        measured=None if before is None else before.driven,
+    )
     return ComparisonJob(
         robot=robot,
         arm=arm,
+        trials=trials,
         run=run,
-        factories=ControllerMaker(arm, session.period, run, twin).factories(controllers, real=real, posed=posed),
-        targets=points,
-        settings=trials,
         period=settings.period,
-        twin=twin,
-        trials={
-            "turns": turns,
-            "ways": ways,
-            "limits": guard_limits(run, arm, address_of(robot)),
-            "stance": stance_of(twin, run),
-            "correction": correction_of(model, arm, points),
-            "model": model,
-        },
-        observer=session.observer,
-        given={name: _identity(one) for name, one in named(controllers).items()},
         before=before,
+        calibration=model.date if model else "",
+        given={name: _identity(one) for name, one in named(controllers).items()},
     )
