@@ -128,7 +128,8 @@ def try_arm(number: int, policy: Path | None, sets: int) -> Outcome:
 
 def _short(driven: Driven, recording: Recording, b: int, targets: np.ndarray) -> Driven:
     """Measure the trial of arm ``b`` as a comparison in blocks does."""
-    one, target_set = recording.of(slice(b, b + 1)), driven.key.places[b][0]
+    one, target_set = recording.at(slice(None), slice(b, b + 1)), driven.key.places[b][0]
+    one = replace(recording, **vars(one), tripped=recording.tripped[b : b + 1])
     one = replace(one, active=one.active & (one.since_target < ONE_ARM_PROTOCOL.hold + PERIOD[1]))
     key = driven.key._replace(places=((target_set, 0),), first=0)
     return measure(ARM, one, targets[target_set][None], ONE_ARM_PROTOCOL, key)

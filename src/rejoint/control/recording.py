@@ -95,10 +95,6 @@ class Recording(Cycle):
     tripped: Reasons
     """(B,) flags of the trip"""
 
-    def of(self, arms: slice) -> Recording:
-        """Select arms."""
-        return replace(self, **vars(self.at(slice(None), arms)), tripped=self.tripped[arms])
-
     def driven(self, b: int = 0) -> Cycle:
         """Rows (T', ...) of the cycles in which arm ``b`` was active."""
         return self.at(self.active[:, b], b)
