@@ -187,10 +187,10 @@ def _ended(error: BaseException, *, json: bool) -> int:
         error = interruption() or error  # compiled code may have swallowed it, and failed for want of what it asked for
     if isinstance(error, Interrupted):
         close()  # a signal that was swallowed is sent again, at a time of its own
-    from rejoint.runs.failure import failure_of, kept
+    from rejoint.runs.failure import failure_of
 
     misused, terminal = isinstance(error, typer.TyperException), Terminal(json=json)
-    text, kind, code = (_misused(error), "UsageError", 2) if misused else kept(failure_of(error))[:3]
+    text, kind, code = (_misused(error), "UsageError", 2) if misused else failure_of(error)
     if isinstance(error, Interrupted) and sys.argv[1:2] and sys.argv[1] in RESUMED:
         text += f"; what is finished is kept: the same `rejoint {sys.argv[1]}` goes on from there"
     if not {*VERBOSE}.isdisjoint(sys.argv):

@@ -2,6 +2,7 @@
 
 import tempfile
 import traceback
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from rejoint.system.errors import RejointError, first_line
@@ -20,12 +21,10 @@ class Failure(NamedTuple):
     kind: str
     code: int
     """exit code"""
-    trace: str = ""
-    """of a bug"""
 
 
 def failure_of(error: BaseException) -> Failure:
-    """Describe an ``error``."""
+    """Describe an ``error``; the traceback of a bug is written to a file, which is named."""
     if isinstance(error, RejointError | Interrupted):
         return Failure(str(error), type(error).__name__, error.exit_code)
     if isinstance(error, MemoryError):
@@ -40,15 +39,13 @@ def failure_of(error: BaseException) -> Failure:
     from rejoint.robots.registry import driver_of  # late: this module may be what is broken
 
     text = f"a bug in {driver_of(error) or 'rejoint itself'}: {type(error).__name__}: {first_line(error)}"
-    return Failure(text, "InternalError", BUG, "".join(traceback.format_exception(error)))
+    return Failure(f"{text}; where it is: {kept(traceback.format_exception(error))}", "InternalError", BUG)
 
 
-def kept(failure: Failure) -> Failure:
-    """Write the traceback of a bug to a file, and name it."""
-    if not failure.trace:
-        return failure
+def kept(trace: Iterable[str]) -> str:
+    """Write the traceback of a bug to a file, and return its path."""
     with tempfile.NamedTemporaryFile(
         "w", prefix="rejoint-traceback-", suffix=".txt", encoding="utf-8", delete=False
     ) as file:
-        file.write(failure.trace)
-    return failure._replace(text=f"{failure.text}; where it is: {file.name}")
+        file.writelines(trace)
+    return file.name

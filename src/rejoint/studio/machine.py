@@ -16,7 +16,7 @@ from rejoint.control.recording import Observer
 from rejoint.control.robot import JointState, Robot, WatchedRobot
 from rejoint.logs.history import plain_name
 from rejoint.logs.runfolder import RunFolder
-from rejoint.runs.failure import failure_of, kept
+from rejoint.runs.failure import failure_of
 from rejoint.runs.run import Run, newest_or_new
 from rejoint.system.errors import LOGGER, InputError, NotReadyError, RejointError
 from rejoint.system.files import unused
@@ -158,7 +158,7 @@ class Studio(Observer):
                 if not why.by:  # a signal, which ends the program
                     self.left.set()
             else:
-                error = "; ".join((kept(failure_of(why)).text, *getattr(why, "__notes__", ())))
+                error = "; ".join((failure_of(why).text, *getattr(why, "__notes__", ())))
                 self.release()
         with self._lock:
             self.change(job="", stopping=False, question="", picture=None, served="", error=error)

@@ -17,7 +17,7 @@ from rejoint.runs.fleet.file import Fleet, FleetArm
 from rejoint.runs.history import ALARM, DRIFTS, code_of, state_of, summary_of, what_to_do
 from rejoint.runs.repair import MOVING, RepairPlan, StageName, repair, stages_of
 from rejoint.runs.run import Run, newest_or_new
-from rejoint.system.files import read_json, saving, write_json, write_text
+from rejoint.system.files import read_json, saving, write_json
 from rejoint.system.records import value_type
 from rejoint.system.shell import command
 from rejoint.system.stopping import Interrupted, check, noted, shielded
@@ -74,8 +74,6 @@ class WorkOutcome(NamedTuple):
     """error in one line, or empty"""
     code: int = 0
     """exit code of that error"""
-    trace: str = ""
-    """of an unexpected error"""
 
 
 HELD = "held, as it was asked to stop"
@@ -102,8 +100,8 @@ def do_work(work: Work) -> WorkOutcome:
     except Interrupted:
         outcome = WorkOutcome(problem=HELD, code=ROBOT)
     except Exception as error:  # noqa: BLE001 - a bug in one arm's work is no end of the others'
-        text, _, code, trace = failure_of(error)
-        outcome = WorkOutcome(problem="; ".join((text, *getattr(error, "__notes__", ()))), code=code, trace=trace)
+        text, _, code = failure_of(error)
+        outcome = WorkOutcome(problem="; ".join((text, *getattr(error, "__notes__", ()))), code=code)
     return outcome._replace(seconds=time.monotonic() - begun)
 
 
@@ -165,8 +163,6 @@ class ArmProgress:
     """reason of a failure or refusal"""
     code: int = PARTLY
     """exit code, unless done"""
-    trace: str = ""
-    """of an unexpected error"""
     running: Work | None = None
     held: bool = False
     """whether a hold was asked for"""
@@ -301,7 +297,7 @@ class Campaign:
         if one.held and problem == HELD:
             one.end, one.why = "left", f"held during {step}; {self._refused(work)}".rstrip("; ")
             return
-        one.left, one.trace = self.left(one.arm), outcome.trace
+        one.left = self.left(one.arm)
         if problem:
             one.why, one.code = f"{step}: {problem}", outcome.code
         elif step in one.left[:1]:
@@ -443,8 +439,5 @@ def run_fleet(
             finished=campaign.finish(),
         )
         with saving(result):
-            for one in campaign.arms:
-                if one.trace:
-                    write_text(place / f"bug-{one.arm.name}.txt", one.trace)
             write_page(result.page, "fleet.html", result=result, headers=HEADERS)
     return result

@@ -13,6 +13,7 @@ from pathlib import Path
 from socket import create_connection
 from typing import Any
 
+from rejoint.runs.failure import kept
 from rejoint.runs.fleet.campaign import HELD, ROBOT, Work, WorkOutcome, do_work
 from rejoint.runs.fleet.file import FleetArm
 from rejoint.system.errors import InputError, first_line
@@ -109,7 +110,7 @@ class RayExecutor:
             return work, WorkOutcome(problem=HELD)
         except ray.RayTaskError as error:  # before the work had begun: another version there, say
             line = (str(error).strip().splitlines() or [type(error).__name__])[-1]
-            return work, WorkOutcome(problem=f"a bug: {line}", code=1, trace=str(error))
+            return work, WorkOutcome(problem=f"a bug: {line}; where it is: {kept([str(error)])}", code=1)
         except ray.RayError as error:
             look = ": look at the arm, then go on" if work.held else ""
             return work, WorkOutcome(problem=f"its process was lost ({type(error).__name__}){look}", code=ROBOT)
