@@ -205,17 +205,17 @@ def corrected_homing(source: Path, arm: Arm, offset: Array) -> tuple[dict[str, A
 
     FileError: ``source`` is no calibration; InputError: offset out of range.
     """
-    motors, changes = read_homing(source), {}
-    columns = match_joints(names := list(motors), arm, source, "calibration").columns
-    for joint, column, angle in zip(arm.joint_names, columns, offset, strict=True):
-        motor, change = motors[names[column]], -round(float(angle) * COUNTS_PER_TURN / (2 * np.pi))
-        if abs(motor["homing_offset"] + change) > LARGEST:
+    motors, names = read_homing(source, arm)
+    changes = {
+        name: -round(float(angle) * COUNTS_PER_TURN / (2 * np.pi)) for name, angle in zip(names, offset, strict=True)
+    }
+    for joint, (name, change) in zip(arm.joint_names, changes.items(), strict=True):
+        homing = motors[name]["homing_offset"] = motors[name]["homing_offset"] + change
+        if abs(homing) > LARGEST:
             raise InputError(
-                f"{joint}: a homing offset of {motor['homing_offset'] + change} counts, expected at most {LARGEST}; "
-                "run lerobot-calibrate with the arm nearer to the middle of its range"
+                f"{joint}: a homing offset of {homing} counts, expected at most {LARGEST}; run lerobot-calibrate with "
+                "the arm nearer to the middle of its range"
             )
-        motor["homing_offset"] += change
-        changes[names[column]] = change
     return motors, changes
 
 
@@ -226,16 +226,19 @@ def write_homing(path: Path, motors: dict[str, Any]) -> None:
 
 def half_ranges(source: Path, arm: Arm, options: ImportOptions) -> Array:
     """Half ranges (n,) [rad] of a calibration; negative: turned motor."""
-    motors = read_homing(source, turned=True)
-    mapped = {read_linear(theirs, motors)[0]: ours for ours, theirs in options.columns.items()}
-    names = [mapped.get(name, name) for name in motors]
-    chosen = [[*motors.values()][column] for column in match_joints(names, arm, source, "calibration").columns]
+    motors, names = read_homing(source, arm, options.columns.items(), turned=True)
+    chosen = [motors[name] for name in names]
     counts = [(one["range_max"] - one["range_min"]) * (-1 if one.get("drive_mode") else 1) for one in chosen]
     return np.array(counts) * np.pi / COUNTS_PER_TURN
 
 
-def read_homing(source: Path, *, turned: bool = False) -> dict[str, Any]:
-    """Read the motors of LeRobot's calibration, perhaps ``turned`` ones; FileError."""
+def read_homing(
+    source: Path, arm: Arm, columns: Iterable[tuple[str, str]] = (), *, turned: bool = False
+) -> tuple[dict[str, Any], list[str]]:
+    """Read the motors of LeRobot's calibration, perhaps ``turned`` ones, and the name of each joint's (n,); FileError.
+
+    ``columns``: pairs of `ImportOptions.columns`.
+    """
     remedy = "give the JSON file that lerobot-calibrate wrote"
     with reading(source, "not a calibration of LeRobot", remedy):
         motors = json.loads(read_bounded(source, remedy))
@@ -244,4 +247,7 @@ def read_homing(source: Path, *, turned: bool = False) -> dict[str, Any]:
                 raise TypeError(f"{', '.join(_NUMBERS)} of {name} are not all whole numbers")
             if motor.get("drive_mode") and not turned:
                 raise ValueError("a drive_mode other than 0, which turns a joint in some units and not in others")
-    return dict(motors)
+    mapped = {read_linear(theirs, motors)[0]: ours for ours, theirs in columns}
+    names = list(motors)
+    chosen = match_joints([mapped.get(name, name) for name in names], arm, source, "calibration").columns
+    return motors, [names[column] for column in chosen]

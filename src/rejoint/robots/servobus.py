@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rejoint.arms import Arm, Array
-from rejoint.logs.joints import COUNTS_PER_TURN, match_joints, read_homing
+from rejoint.logs.joints import COUNTS_PER_TURN, read_homing
 from rejoint.robots.bus import Bus, persist
 from rejoint.robots.knobs import Model, ServoAddress, TunedServos, Values
 from rejoint.robots.servowire import ServoWire
@@ -374,9 +374,8 @@ class MotorRanges(NamedTuple):
 
 def read_calibration(path: Path, arm: Arm, *, turned: bool = False) -> MotorRanges:
     """Read LeRobot's calibration of ``arm``, perhaps with ``turned`` motors; FileError, InputError for its numbers."""
-    motors = read_homing(path, turned=turned)
-    columns = match_joints(list(motors), arm, path, "calibration").columns
-    joints = [list(motors.values())[column] for column in columns]
+    motors, names = read_homing(path, arm, turned=turned)
+    joints = [motors[name] for name in names]
     homing, low, high = (
         np.array([joint[name] for joint in joints]) for name in ("homing_offset", "range_min", "range_max")
     )
