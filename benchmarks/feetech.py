@@ -41,6 +41,7 @@ from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.emulator.feetech import FORMAT, StsArm, encode
 from rejoint_lab.emulator.servobus import ADAPTER, BROADCAST, BYTE, SYNC_READ, SYNC_WRITE, Packet
 from rejoint_lab.plant.plant import Plant, StsPlant
+from rejoint_lab.plant.servo import Channel
 from rejoint_lab.plant.wear import load_wear
 
 ARM = load_arm("so101")
@@ -147,7 +148,7 @@ def gains():
 def _settled(controller, targets, p, i):
     """Mean distance [mm] of the tool by the encoders from its target in the last second of `DWELL`."""
     gains = {"p": p, "i": i}
-    robot = EmulatedRobot(ARM, [load_wear("so101", ARM)], seed=0, period=(0.020, 0.020), gains=gains)
+    robot = EmulatedRobot(ARM, [load_wear("so101", ARM)], seed=0, channel=Channel(period=(0.020, 0.020)), gains=gains)
     recording = run(robot, controller, targets[None], Schedule(dwell=DWELL))
     return 1e3 * metrics_of(ARM, recording, targets[None], Protocol(hold=DWELL))["settled"].mean()
 

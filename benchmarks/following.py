@@ -29,7 +29,7 @@ from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.diagnosis.measurement import measure
 from rejoint.system.errors import GuardTripError
 from rejoint_lab.emulated import EmulatedRobot
-from rejoint_lab.plant.servo import Channel, Interval, Keys
+from rejoint_lab.plant.servo import Channel, Keys
 from rejoint_lab.plant.wear import Wear, load_wear
 
 ARM = mycobot280()
@@ -41,17 +41,8 @@ BREAKING = {"worn": ("frozen", "blind"), "healthy": ("frozen", "blind")}
 """How encoders break, by kind of arm"""
 STUCK = (5.0, 10.0, 15.0, 1000.0)
 """[deg] of lead at which a stuck joint moves"""
-SLOW: dict[str, Interval] = {
-    "period": (0.045, 0.055),
-    "command_latency": (0.008, 0.030),
-    "readback_age": (0.006, 0.030),
-}
-WIRES: dict[str, dict[str, Interval]] = {
-    "25ms": {"period": (0.020, 0.030)},
-    "50ms": SLOW,
-    "stalling": SLOW,
-    "late": SLOW,
-}
+SLOW = Channel(latency=(0.008, 0.030), age=(0.006, 0.030), period=(0.045, 0.055))
+WIRES = {"25ms": Channel(), "50ms": SLOW, "stalling": SLOW, "late": SLOW}
 """Wires; the slow ones keep commands and readings up to 30 ms under way. After the diagnosis one of them stalls, and
 the arm behind another one is late with what it has acknowledged"""
 STALLS, STALL = 0.25, (0.02, 0.12)
@@ -139,10 +130,10 @@ def draw(kind: str, count: int, seed: int) -> list[Wear]:
 
 def opened(wears: list[Wear], wire: str, seed: int, first: int = 0) -> EmulatedRobot:
     """Return arms behind a wire."""
-    robot = EmulatedRobot(ARM, wears, seed=seed, first=first, **WIRES[wire])
+    robot = EmulatedRobot(ARM, wears, seed=seed, first=first, channel=WIRES[wire])
     if wire in ("stalling", "late"):
         robot._channel = Stalling(
-            channel=Channel(SLOW["command_latency"], SLOW["readback_age"], SLOW["period"]),
+            channel=SLOW,
             share=STALLS if wire == "stalling" else LATE,
             longer=wire == "stalling",
         )

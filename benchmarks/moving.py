@@ -18,6 +18,7 @@ from rejoint.control.moving.tracker import PathPostures, Tracker
 from rejoint.control.recording import Recording
 from rejoint.twin.parameters import TwinParameters, healthy_parameters, lifting_torque
 from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.servo import Channel
 from rejoint_lab.plant.wear import load_wear
 from rejoint_lab.research.evaluation.evaluate import played
 from rejoint_lab.research.evaluation.family import own_twins
@@ -38,7 +39,7 @@ def drive(
     home = np.stack([path.home(ARM, own) for own in motors for path in PATHS])
     start = PathPostures(ARM, np.stack([path.place[0] for _ in profiles for path in PATHS]), home=home).last
     wears = [load_wear(profile, ARM) for profile in profiles for _ in PATHS]
-    robot = EmulatedRobot(ARM, wears, start=start, period=period)
+    robot = EmulatedRobot(ARM, wears, start=start, channel=Channel(period=period))
     dwell = LEAD_IN + LAG + max(path.duration for path in PATHS)
     controller = Tracker(ARM, known, period=sum(period) / 2)
     return run(robot, controller, PathReference(ARM, guides, home), Schedule(dwell=dwell, sent=start, keep_going=True))

@@ -3,6 +3,7 @@
 from rejoint.arms import load_arm
 from rejoint.system.errors import RobotError
 from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.servo import Channel
 from rejoint_lab.plant.wear import load_wear
 
 ARM = load_arm("so101")
@@ -10,7 +11,7 @@ ARM = load_arm("so101")
 
 class ServoRobot(EmulatedRobot):
     def __init__(self, wear="so101"):
-        super().__init__(ARM, [load_wear(wear, ARM)], period=(0.020, 0.020))
+        super().__init__(ARM, [load_wear(wear, ARM)], channel=Channel(period=(0.020, 0.020)))
         self.history, self.frail = [], None
 
     def tune(self, gains):

@@ -16,7 +16,7 @@ from rejoint.robots import dynamixel, feetech
 from rejoint.robots.knobs import Gains, TunedServos, Values
 from rejoint.system.errors import InputError
 from rejoint_lab.plant.plant import ServoPlant, StsPlant, XPlant, plant_of
-from rejoint_lab.plant.servo import Channel, Interval, stream_keys
+from rejoint_lab.plant.servo import Channel, stream_keys
 from rejoint_lab.plant.wear import Wear
 from rejoint_lab.plant.xseries import ACCELERATION_UNIT, VELOCITY_UNIT
 
@@ -29,6 +29,7 @@ _UNITS = {"speed": VELOCITY_UNIT, "acceleration": ACCELERATION_UNIT}
 
 
 _CHANNEL_PURPOSE = 1
+_IDLE = Channel()
 
 
 class EmulatedRobot(TunedServos):
@@ -41,21 +42,14 @@ class EmulatedRobot(TunedServos):
         *,
         address: str = "emulated:worn",
         seed: int = 0,
-        period: Interval = (0.020, 0.030),
+        channel: Channel = _IDLE,
         start: Array | None = None,
         gains: Gains | None = None,
         **options: Any,  # noqa: ANN401
     ) -> None:
-        """Put the arms at ``start`` (B, n) or (n,) [rad], or rest.
-
-        ``options``: of `Plant`; ``command_latency``, ``readback_age`` [s];
-        ``tells_load``.
-        """
+        """Put the arms at ``start`` (B, n) or (n,) [rad], or rest; ``options``: of `Plant`, and ``tells_load``."""
         self.arm, self.address, self.count = arm, address, len(wears)
-        self._tells_load = options.pop("tells_load", True)
-        idle = Channel()
-        latency, age = options.pop("command_latency", idle.latency), options.pop("readback_age", idle.age)
-        self._channel = Channel(latency, age, period)
+        self._tells_load, self._channel = options.pop("tells_load", True), channel
         self.plant = plant_of(arm)(arm, wears, seed=seed, **options)
         super().__init__(dynamixel.KIND if isinstance(self.plant, XPlant) else feetech.KIND, arm.joint_names, {})
         if gains:

@@ -10,6 +10,7 @@ from rejoint.robots.dynamixel import KIND as X_SERIES
 from rejoint.robots.feetech import KIND as STS
 from rejoint.robots.knobs import Gains
 from rejoint.system.records import value_type
+from rejoint_lab.plant.servo import Channel
 from rejoint_lab.plant.wear import load_wear, wear_arm, wear_names
 from rejoint_lab.plant.xseries import drives
 
@@ -73,7 +74,7 @@ def _emulated(place: Place[EmulatedAddress], opening: Opening) -> Robot:
         [load_wear(place.detail.profile, true)] * opening.count,
         address=place.text,
         seed=opening.seed,
-        period=opening.period,
+        channel=Channel(period=opening.period),
         payload=place.detail.payload,
         bodies=bodies,
         gains=place.detail.gains,

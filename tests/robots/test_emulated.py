@@ -6,6 +6,7 @@ from rejoint.control.robot import Robot
 from rejoint.robots import open_robot, place_of
 from rejoint.system.errors import ProfileError
 from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.servo import Channel
 from rejoint_lab.plant.wear import load_wear
 
 ARM = mycobot280()
@@ -50,7 +51,7 @@ def test_an_arm_does_not_notice_that_others_stopped():
 
 
 def test_periods_are_drawn_from_their_interval_every_cycle():
-    track = drive(EmulatedRobot(ARM, FAMILY, seed=5, period=(0.030, 0.040)), np.arange(4))
+    track = drive(EmulatedRobot(ARM, FAMILY, seed=5, channel=Channel(period=(0.030, 0.040))), np.arange(4))
     periods = np.diff(track[:, :, 0], axis=0)
     assert periods.min() > 0.0295
     assert periods.max() < 0.0405

@@ -8,11 +8,12 @@ from rejoint.robots import open_robot
 from rejoint.robots.feetech import KIND
 from rejoint_lab.emulated import EmulatedRobot
 from rejoint_lab.emulator.feetech import HOMING, MIDDLE, StsArm
+from rejoint_lab.plant.servo import Channel
 from rejoint_lab.plant.sts3215 import SETTING
 from rejoint_lab.plant.wear import load_wear
 
 ARM = load_arm("so101")
-PROMPT = {"period": (0.02, 0.02), "command_latency": (0.0, 0.0), "readback_age": (0.0, 0.0)}
+PROMPT = Channel(latency=(0.0, 0.0), age=(0.0, 0.0), period=(0.02, 0.02))
 REGISTERS = {"p": "P_Coefficient", "i": "I_Coefficient", "limit": "Integral_Limit"}
 ENDS = {"least", "most"}
 """Settings that LeRobot's calibration leaves in the servos: the ends of the joints, which nothing here comes near"""
@@ -33,7 +34,10 @@ def behind_its_bus(wear, gains):
 @pytest.mark.parametrize("gains", [{}, {"p": 48, "i": 4}])
 def test_the_arm_behind_its_bus_and_that_in_virtual_time_move_alike(wear, gains):
     """To the bit, from goals in registers on one side and commands to the robot on the other."""
-    bus, robot = behind_its_bus(wear, gains), EmulatedRobot(ARM, [load_wear(wear, ARM)], seed=5, gains=gains, **PROMPT)
+    bus, robot = (
+        behind_its_bus(wear, gains),
+        EmulatedRobot(ARM, [load_wear(wear, ARM)], seed=5, gains=gains, channel=PROMPT),
+    )
     robot.plant.advance(0.01)  # as long as the other took to be compiled
     robot.restart(ARM.rest)
     for name in set(SETTING.names) - ENDS:

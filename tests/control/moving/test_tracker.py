@@ -13,6 +13,7 @@ from rejoint.control.moving.reference import PathReference, standard_path
 from rejoint.control.moving.tracker import PathPostures, PushObserver, Tracker, command_for
 from rejoint.control.robot import Servos
 from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.servo import Channel
 from rejoint_lab.plant.wear import load_wear
 from standin import inputs_of, state_of
 
@@ -92,7 +93,7 @@ def test_the_tool_follows_though_a_wrist_joint_is_stuck_far_from_where_it_should
 )
 def test_an_arm_on_a_slow_wire_still_follows(usual, period, most):
     guide = standard_path("circle-8s", ARM)
-    slower = drive(Tracker(ARM, worn_servos(), period=usual), [guide], period=period)
+    slower = drive(Tracker(ARM, worn_servos(), period=usual), [guide], channel=Channel(period=period))
     assert judge(ARM, slower, guide, 0).encoder.rms < most
 
 

@@ -31,9 +31,8 @@ from rejoint.system.progress import Progress, no_progress, part
 from rejoint.system.records import value_type
 from rejoint.twin.twin import Twin, read_twin
 from rejoint_lab.emulated import EmulatedRobot
+from rejoint_lab.plant.servo import Channel, Interval
 from rejoint_lab.plant.wear import load_wear
-
-Interval = tuple[float, float]
 
 HELD = 0.9
 """Share of the torque limits of an arm's twin that a target's posture needs at most"""
@@ -147,8 +146,7 @@ def open_family(arm: Arm, variant: Variant, family: ArmFamily) -> EmulatedRobot:
         [load_wear(f"{variant.profile}?seed={seed}", arm) for seed in seeds],
         address=f"emulated:{variant.name}",
         seed=family.seed,
-        period=variant.period,
-        command_latency=variant.latency,
+        channel=Channel(latency=variant.latency, period=variant.period),
         payload=variant.payload * np.array([np.random.default_rng([seed, 1]).random() for seed in seeds]),
         bodies=None if described else [misdescribed(arm, variant, seed) for seed in seeds],
         gravity=turned(np.radians([variant.tilt_deg, 0.0, 0.0])) @ GRAVITY,
