@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -28,11 +29,6 @@ class FilePlace:
     def __get__(self, owner: RunFolder, _: type) -> Path:
         return owner.path / self.name
 
-
-try:
-    import fcntl
-except ImportError:  # not on Windows
-    fcntl = None  # type: ignore[assignment]
 
 FORMAT = 2
 """Version; others are refused"""
@@ -234,20 +230,18 @@ def locked(folder: RunFolder) -> Iterator[None]:
 
 
 def _lock(handle: int, folder: RunFolder) -> bool:
-    """Take the lock; returns whether the system has locks. FileError: another process has it."""
-    if fcntl is not None:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
-        except BlockingIOError as error:
-            holder = (folder.path / ".lock").read_text(encoding="utf-8", errors="replace").strip() or "unknown"
-            who, remedy = f"another rejoint (process {holder}) is working there", "wait until it is done"
-            if holder == str(os.getpid()):
-                who, remedy = "this program is working there already", "close what it has open there"
-            raise FileError(folder.path, who, f"{remedy}, or choose another folder") from error
-        except OSError:
-            pass  # a file system without locks
-    return False
+    """Take the lock; returns whether there are locks. FileError: another process has it."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    except BlockingIOError as error:
+        holder = (folder.path / ".lock").read_text(encoding="utf-8", errors="replace").strip() or "unknown"
+        who, remedy = f"another rejoint (process {holder}) is working there", "wait until it is done"
+        if holder == str(os.getpid()):
+            who, remedy = "this program is working there already", "close what it has open there"
+        raise FileError(folder.path, who, f"{remedy}, or choose another folder") from error
+    except OSError:  # a file system without locks
+        return False
 
 
 def _put_right(folder: RunFolder) -> None:

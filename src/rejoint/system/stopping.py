@@ -17,8 +17,8 @@ from functools import partial
 from types import FrameType
 from typing import ClassVar, TypeAlias
 
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Signals that end a program; Windows has two"""
+SIGNALS: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end a program"""
 
 # [s] after which a signal is sent again whose exception was swallowed (chosen: the callback is over by then)
 _AGAIN = 0.1
