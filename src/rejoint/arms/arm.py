@@ -37,9 +37,13 @@ class Box:
 
     def __post_init__(self) -> None:
         freeze(self)
-        ends = np.append(self.lower, self.upper)
-        if ends.size != 6 or np.abs(ends).max() > FARTHEST_PLACE or (self.lower >= self.upper).any():
+        if self.ends.size != 6 or np.abs(self.ends).max() > FARTHEST_PLACE or (self.lower >= self.upper).any():
             raise InputError(f"a box needs lower < upper on three axes, in metres, got {self.lower}, {self.upper}")
+
+    @property
+    def ends(self) -> Array:
+        """(6,) [m] lower, then upper corner."""
+        return np.append(self.lower, self.upper)
 
     @property
     def middle(self) -> Array:
@@ -117,7 +121,7 @@ class Arm(Readable):
             raise InputError(
                 f"arm {self.name}: {len(self.servos)} servos, expected one for each of {n} joints, or none"
             )
-        if np.isnan([(box.lower, box.upper) for box in self.keep_out]).any():
+        if np.isnan([box.ends for box in self.keep_out]).any():
             raise InputError(
                 "keep_out: a box has a corner that is no number; give its lower and upper corner in metres"
             )
@@ -148,7 +152,8 @@ def differing(one: Arm, other: Arm) -> tuple[str, ...]:
     """Fields that differ beyond rounding, without `Arm.keep_out`."""
     found = []
     for name in Arm.__dataclass_fields__:
-        first, second = (_plain(getattr(arm, name)) for arm in (one, other))
+        values = (getattr(arm, name) for arm in (one, other))
+        first, second = (value.ends if isinstance(value, Box) else value for value in values)
         if isinstance(first, str | tuple):
             same = first == second
         else:
@@ -156,10 +161,6 @@ def differing(one: Arm, other: Arm) -> tuple[str, ...]:
         if name != "keep_out" and not same:
             found.append(name)
     return tuple(found)
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401
-    return np.stack([value.lower, value.upper]) if isinstance(value, Box) else value
 
 
 def dh_chain(rows: Array) -> tuple[Array, Array, Array]:

@@ -62,7 +62,7 @@ def collision_shape(arm: Arm) -> CollisionShape:
     radius, ground = LINK_RADIUS_RATIO * reach(arm), min(GROUND, arm.floor)
     places = np.flatnonzero(np.append(0.0, heights(arm, arm.rest)) > ground + radius)
     apart = np.transpose(np.triu_indices(links, 2))
-    boxes = np.array([[*box.lower, *box.upper] for box in arm.keep_out]).reshape(-1, 6)
+    boxes = np.array([box.ends for box in arm.keep_out]).reshape(-1, 6)
     shape = CollisionShape(NO_FLOORS, radius, frozen(apart), frozen(places), ground, _moving(arm), frozen(boxes))
     distance = clearances_of(arm, shape, free)[:, : len(apart)]
     return shape._replace(pairs=frozen(apart[(distance > 0.0).all(axis=0) & (np.ptp(distance, axis=0) > _STILL)]))

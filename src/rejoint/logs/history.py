@@ -46,9 +46,8 @@ def setup_of(arm: Arm) -> str:
     text = hashlib.sha256()
     for item in fields(arm):
         value = getattr(arm, item.name)
-        parts = (value.lower, value.upper) if item.name == "targets" else (value,)
-        for part in parts:
-            text.update((np.round(part, 9) + 0.0).tobytes() if isinstance(part, np.ndarray) else repr(part).encode())
+        part = value.ends if item.name == "targets" else value
+        text.update((np.round(part, 9) + 0.0).tobytes() if isinstance(part, np.ndarray) else repr(part).encode())
     return text.hexdigest()[:16]
 
 

@@ -100,7 +100,7 @@ def _thousandths(values: Iterable[float], between: str = ",") -> str:
 _TYPED: dict[str, Callable[[Any], list[str]]] = {
     "payload": lambda load: [f"{load.mass:.12g}{f'@{_thousandths(load.com)}' if any(load.com) else ''}"],
     "tool": lambda tip: [_thousandths(tip)],
-    "keep_out": lambda boxes: [_thousandths((*box.lower, *box.upper)) for box in boxes],
+    "keep_out": lambda boxes: [_thousandths(box.ends) for box in boxes],
     "period": lambda ends: [_thousandths(dict.fromkeys(ends), "-")],
     "within": lambda error: [_thousandths([error])],
 }
