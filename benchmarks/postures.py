@@ -34,7 +34,7 @@ from rejoint.arms import (
     so101,
     tcp_position,
 )
-from rejoint.arms.collision import collision_shape, guarded_floors
+from rejoint.arms.collision import clearances_of, collision_shape
 from rejoint.arms.postures import body_of, comfortable_postures
 from rejoint.arms.rotations import Orientation, tool_axis
 from rejoint.control.comparison.protocols import schedule
@@ -168,7 +168,7 @@ def _add(body: mujoco.MjsBody, name: str, kind: mujoco.mjtGeom, size: Array | li
 
 def own_distances(arm: Arm, way: Array, grown: float = GROWN) -> Array:
     """Return what `Judge.distances` does, by the planner's clearances."""
-    shape, clear = collision_shape(arm), clearances(arm, way, np.zeros(arm.joints))[:, arm.joints :]
+    shape, clear = collision_shape(arm), clearances(arm, way)
     parts = np.split(clear, np.cumsum([len(shape.pairs), len(shape.places)]), axis=1)
     return np.minimum(np.stack([part.min(axis=1, initial=np.inf) for part in parts], axis=1) - grown * SIDES, _FAR)
 
@@ -301,5 +301,5 @@ def _free(arm: Arm, count: int) -> Array:
     margin = np.radians(0.5)
     drawn = np.random.default_rng(5).uniform(arm.lower + margin, arm.upper - margin, (8 * count, arm.joints))
     least = np.append(np.full(arm.joints, 0.002), 1.1 * body_of(arm).least)
-    found: Array = drawn[(clearances(arm, drawn, guarded_floors(arm)) > least).all(axis=-1)][:count]
+    found: Array = drawn[(clearances_of(arm, body_of(arm).shape, drawn) > least).all(axis=-1)][:count]
     return found

@@ -19,9 +19,9 @@ from rejoint.arms import (
     so101,
     tcp_position,
 )
-from rejoint.arms.collision import clearances, guarded_floors
+from rejoint.arms.collision import clearances, clearances_of
 from rejoint.arms.planning import SLOWEST, JointTrajectory, plan
-from rejoint.arms.postures import comfortable_postures
+from rejoint.arms.postures import body_of, comfortable_postures
 from rejoint.control.guard import GuardLimits, guard
 from rejoint.control.robot import JointState
 
@@ -42,7 +42,7 @@ def postures(name: str) -> Array:
     """Postures with room for the judge's capsules."""
     arm, rng = boxed(name), np.random.default_rng(0)
     drawn = rng.uniform(arm.lower + 0.01, arm.upper - 0.01, (4000, arm.joints))
-    clear = clearances(arm, drawn, guarded_floors(arm))
+    clear = clearances_of(arm, body_of(arm).shape, drawn)
     return drawn[(clear[:, : arm.joints] > 0.001).all(axis=1) & (clear[:, arm.joints :] > 2.1 * GROWN).all(axis=1)]
 
 
@@ -191,7 +191,7 @@ def test_an_arm_that_touches_something_gets_out_of_it():
     start = np.radians([0.0, 0, 150, -150, 0, 0])
     assert clearances(arm, start).min(axis=-1) < 0.0
     way = plan(arm, start, arm.rest)
-    distances = clearances(arm, way.at(np.linspace(0.0, way.duration, 300)), guarded_floors(arm))
+    distances = clearances_of(arm, body_of(arm).shape, way.at(np.linspace(0.0, way.duration, 300)))
     least = np.minimum(distances[0], 0.0)
     for row in distances[1:]:
         assert (row >= least - 1e-7).all()

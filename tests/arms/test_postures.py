@@ -13,7 +13,6 @@ from rejoint.arms import (
     Array,
     Box,
     Motors,
-    clearances,
     frames,
     gravity_torque,
     mycobot280,
@@ -21,7 +20,7 @@ from rejoint.arms import (
     solve_position,
     tcp_position,
 )
-from rejoint.arms.collision import guarded_floors
+from rejoint.arms.collision import clearances_of
 from rejoint.arms.postures import body_of, choose_postures
 from rejoint.arms.rotations import Orientation, tool_axis
 
@@ -39,13 +38,13 @@ def free_postures(arm: Arm, count: int, seed: int) -> Array:
     rng = np.random.default_rng(seed)
     drawn = rng.uniform(arm.lower + MARGIN, arm.upper - MARGIN, (20 * count, arm.joints))
     least = np.append(np.full(arm.joints, 0.002), 1.1 * body_of(arm).least)
-    return drawn[(clearances(arm, drawn, guarded_floors(arm)) > least).all(axis=-1)][:count]
+    return drawn[(clearances_of(arm, body_of(arm).shape, drawn) > least).all(axis=-1)][:count]
 
 
 def works(arm: Arm, q: Array) -> None:
     assert (q >= arm.lower).all()
     assert (q <= arm.upper).all()
-    assert (clearances(arm, q, guarded_floors(arm)) > -3e-5).all()
+    assert (clearances_of(arm, body_of(arm).shape, q) > -3e-5).all()
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -86,7 +85,7 @@ def test_what_is_too_heavy_is_so_in_every_posture():
     starts = np.random.default_rng(6).uniform(arm.lower, arm.upper, (1000, arm.joints))
     for k in heavy[:3]:
         any_way = solve_position(arm, places[k], starts, rest_gain=0.0)
-        free = any_way.converged & (clearances(arm, any_way.q, guarded_floors(arm)) > 0.0).all(axis=-1)
+        free = any_way.converged & (clearances_of(arm, body_of(arm).shape, any_way.q) > 0.0).all(axis=-1)
         assert free.any()
         assert (np.abs(gravity_torque(arm, any_way.q[free])) / limit).max(axis=-1).min() > 1.0
     assert (np.abs(gravity_torque(arm, goals.q)) <= limit + 1e-9).all()
@@ -126,7 +125,7 @@ def test_a_box_changes_the_posture_and_not_the_place():
     arm = replace(free, keep_out=(Box(lower=elbow - 0.01, upper=elbow + rng.uniform(0.01, 0.02, 3)),))
     goals = choose_postures(arm, place, arm.rest)
     assert goals.refusals == ("",)
-    assert (clearances(free, q, guarded_floors(free)) > 0.0).all()
-    assert (clearances(arm, q, guarded_floors(arm)) < 0.0).any()
+    assert (clearances_of(free, body_of(free).shape, q) > 0.0).all()
+    assert (clearances_of(arm, body_of(arm).shape, q) < 0.0).any()
     works(arm, goals.q)
     np.testing.assert_allclose(tcp_position(arm, goals.q), place, atol=1e-5)

@@ -261,7 +261,7 @@ def test_joint_positions_are_reached_round_a_declared_box():
     with rejoint.connect("emulated:worn?seed=1", settings=rejoint.Settings(keep_out=[WALL]), observer=watches) as arm:
         end = arm.move_joints(goal)
     np.testing.assert_allclose(end.joints_rad, goal, atol=np.radians(0.5))
-    assert (clearances(replace(ARM, keep_out=(WALL,)), np.array(places), np.zeros(6))[:, 6:] > 0.0).all()
+    assert (clearances(replace(ARM, keep_out=(WALL,)), np.array(places)) > 0.0).all()
 
 
 def test_a_joint_that_sticks_under_its_load_comes_to_its_goal_over_another_posture():

@@ -31,9 +31,6 @@ _STILL = 1e-6
 GRID = 3
 """Free targets per edge (chosen)"""
 
-NO_FLOORS = frozen(np.zeros(0))
-"""Where heights do not count"""
-
 
 class CollisionShape(NamedTuple):
     """Capsules; link 0 is the base, ends are base to TCP."""
@@ -63,7 +60,7 @@ def collision_shape(arm: Arm) -> CollisionShape:
     places = np.flatnonzero(np.append(0.0, heights(arm, arm.rest)) > ground + radius)
     apart = np.transpose(np.triu_indices(links, 2))
     boxes = np.array([box.ends for box in arm.keep_out]).reshape(-1, 6)
-    shape = CollisionShape(NO_FLOORS, radius, frozen(apart), frozen(places), ground, _moving(arm), frozen(boxes))
+    shape = CollisionShape(frozen([]), radius, frozen(apart), frozen(places), ground, _moving(arm), frozen(boxes))
     distance = clearances_of(arm, shape, free)[:, : len(apart)]
     return shape._replace(pairs=frozen(apart[(distance > 0.0).all(axis=0) & (np.ptp(distance, axis=0) > _STILL)]))
 
@@ -74,7 +71,10 @@ def collides(arm: Arm, q: Array) -> Mask:
 
 
 def clearances_of(arm: Arm, shape: CollisionShape, q: Array) -> Array:
-    """`clearances` of a ``shape``."""
+    """Heights of a ``shape`` above its floors (n,), if any, then its `clearances`, (..., n + P + G + L K) [m].
+
+    Heights: joint frames but the first, and TCP.
+    """
     found = compiled.clearances(chain_of(arm), shape, rows_of(arm, q))
     return found.reshape(*q.shape[:-1], found.shape[1])
 
@@ -85,23 +85,22 @@ def usual_distances(arm: Arm) -> Array:
     return clearances(arm, arm.drawn(256, seed=1))
 
 
-@lru_cache
 def guarded_floors(arm: Arm) -> Array:
     """Lowest heights (n,) [m] of the joint frames but the first, and TCP; -inf: hardly rises."""
     joint_floor = arm.floor + JOINT_CLEARANCE * length_size(arm)
     return frozen(np.append(np.where(rising_frames(arm, joint_floor)[1:], joint_floor, -np.inf), arm.floor))
 
 
-def clearances(arm: Arm, q: Array, floors: Array = NO_FLOORS) -> Array:
-    """Heights above ``floors`` (n,), then distances of capsules, (..., n + P + G + L K) [m] at ``q`` (..., n) [rad].
+def clearances(arm: Arm, q: Array) -> Array:
+    """Distances (..., P + G + L K) [m] of capsules at ``q`` (..., n) [rad]; negative: contact.
 
-    Heights: joint frames but the first, and TCP. Distances: links, ends and ground, links and boxes; negative: contact.
+    Between links, ends and ground, links and boxes.
     """
-    return clearances_of(arm, collision_shape(arm)._replace(floors=frozen(floors)), q)
+    return clearances_of(arm, collision_shape(arm), q)
 
 
 def contact(arm: Arm, item: int) -> tuple[str, str]:
-    """Return what comes near to what at distance ``item`` of `clearances`."""
+    """Return what comes near to what at distance ``item`` of `clearances_of`."""
     shape, frames = collision_shape(arm), (*arm.joint_names, "the tool")
     links = ["the base", *(f"the link after {name}" for name in arm.joint_names)]
     named = [(frame, "its floor") for frame in frames[1:]]

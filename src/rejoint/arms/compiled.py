@@ -353,7 +353,7 @@ def _count(shape):  # noqa: ANN001, ANN202
 
 @compiled(OUT1(IN3, SHAPE))
 def gaps(frames, shape):  # noqa: ANN001, ANN201
-    """`collision.clearances` (n + P + G + L K,) [m] of one posture's ``frames`` (n + 1, 4, 4)."""
+    """`collision.clearances_of` (n + P + G + L K,) [m] of one posture's ``frames`` (n + 1, 4, 4)."""
     ends, row, at = np.zeros((len(frames) + 1, 3)), np.empty(_count(shape)), len(shape.floors)
     for i in range(len(frames)):
         for r in range(3):
@@ -375,7 +375,7 @@ def gaps(frames, shape):  # noqa: ANN001, ANN201
 
 @compiled(OUT2(CHAIN, SHAPE, IN2))
 def clearances(chain, shape, q):  # noqa: ANN001, ANN201
-    """`collision.clearances` (B, n + P + G + L K) [m] at ``q`` (B, n)."""
+    """`collision.clearances_of` (B, n + P + G + L K) [m] at ``q`` (B, n)."""
     out = np.empty((len(q), _count(shape)))
     for b in range(len(q)):
         fill(out[b], gaps(place(chain, q[b]), shape))

@@ -320,7 +320,7 @@ def body_of(arm: Arm) -> Any:  # noqa: ANN401 - `redundancy.Body`, imported when
 
 
 def _levers(arm: Arm) -> Array:
-    """Largest change (n + c, n) [m] of `clearances` per radian of a joint."""
+    """Largest change (n + c, n) [m] of `clearances_of` per radian of a joint."""
     shape, joints = collision_shape(arm), arm.joints
     lengths = np.linalg.norm(link_ends(arm), axis=1)
     far = np.array([[lengths[k:link].sum() for k in range(joints)] for link in range(joints + 1)])
