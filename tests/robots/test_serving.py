@@ -29,6 +29,7 @@ from rejoint_lab.plant.wear import load_wear
 from standin import now_at
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*getdefaultlocale.*:DeprecationWarning")
+PLAIN = Modelled(ARM, Displacement.none(ARM))
 PACE = 6.0
 """times as fast as real; the arm is an emulated one of this process"""
 
@@ -96,7 +97,7 @@ def test_a_serial_line_is_served_and_the_arm_holds_when_it_is_closed(run, twin):
 
 
 def resting():
-    return ServedArm(ARM, ARM.rest)
+    return ServedArm(ARM, ARM.rest, apparent=PLAIN)
 
 
 def advance(served, clock, position):
@@ -105,7 +106,7 @@ def advance(served, clock, position):
 
 def answering(served, passes=None, listener=None):
     said: list[str] = []
-    log = OrderLog(Path(os.devnull))
+    log = OrderLog(Path(os.devnull), say=said.append)
     log.close()
     return Clients(served, log, passes, said.append, listener), said
 
@@ -176,7 +177,7 @@ def test_an_arm_that_is_left_or_paused_is_brought_to_the_end_of_its_way_and_no_f
 
 
 def test_an_order_into_the_ground_is_refused_with_the_code_of_a_collision():
-    served = ServedArm(ARM, ARM.rest, limits=GuardLimits.of(ARM))
+    served = ServedArm(ARM, ARM.rest, apparent=PLAIN, limits=GuardLimits.of(ARM))
     answers, said = answering(served)
     low = tcp_pose(ARM, ARM.rest)
     low[2, 3] = -0.02
@@ -193,7 +194,7 @@ def test_an_order_into_the_ground_is_refused_with_the_code_of_a_collision():
 @pytest.mark.parametrize(("order", "axis"), [(0x32, 3), (0x30, 2)])
 def test_a_jog_ends_before_what_the_guard_keeps_the_arm_from(order, axis):
     limits = GuardLimits.of(ARM)
-    served = ServedArm(ARM, ARM.rest, limits=limits)
+    served = ServedArm(ARM, ARM.rest, apparent=PLAIN, limits=limits)
     answers, _ = answering(served)
     forwards = 0 if order == 0x32 else 1
     assert answered(answers, order, bytes([axis, forwards, 50])) == b"\x01"
@@ -320,7 +321,7 @@ def test_a_gripper_is_passed_on_and_one_that_is_silent_asked_twice(monkeypatch):
 
 def test_any_bytes_are_borne(tmp_path):
     served = resting()
-    log = OrderLog(tmp_path / "orders.jsonl")
+    log = OrderLog(tmp_path / "orders.jsonl", say=print)
     answers = Clients(served, log, None, lambda _: None)
     rng, decoder = np.random.default_rng(0), Finder(FORMAT)
     commands = [*REFUSED, *range(0x10, 0x60), 0xD5, 0xE1, 0xE5]
@@ -353,20 +354,20 @@ def test_an_order_that_the_motors_cannot_hold_is_refused_with_the_joint_and_by_h
     needed = np.abs(gravity_torque(ARM, goal))
     limit = np.full(6, 2.0 * needed.max())
     limit[1] = 0.8 * needed[1]
-    served = ServedArm(ARM, ARM.rest, motors=Motors(limit, limit))
+    served = ServedArm(ARM, ARM.rest, apparent=PLAIN, motors=Motors(limit, limit))
     computer, said = answering(served)
     assert computer.answer(Frame(0x22, pack_angles(goal) + b"\x32")).payload == b"\x00"
     assert served.error == 2
     assert "joint2 needs" in said[-1]
     assert "125 per cent" in said[-1]
-    assert ServedArm(ARM, ARM.rest, motors=Motors(2.0 * limit, 2.0 * limit)).move_joints(goal, 0.5)
+    assert ServedArm(ARM, ARM.rest, apparent=PLAIN, motors=Motors(2.0 * limit, 2.0 * limit)).move_joints(goal, 0.5)
 
 
 def test_an_order_of_one_coordinate_keeps_the_place_where_no_motor_holds_its_orientation():
     start = np.radians([0.0, -60.0, -40.0, 90.0, 0.0, 0.0])
     limit = np.full(6, 5.0)
     limit[1] = 0.9 * np.abs(gravity_torque(ARM, start))[1]
-    served = ServedArm(ARM, start, motors=Motors(limit, 0.8 * limit))
+    served = ServedArm(ARM, start, apparent=PLAIN, motors=Motors(limit, 0.8 * limit))
     computer, said = answering(served)
     place = tcp_position(ARM, start)
     order = b"\x01" + round(1e4 * place[0]).to_bytes(2, "big", signed=True) + b"\x32"

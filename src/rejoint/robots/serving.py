@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rejoint.arms import Arm, Array, Displacement, Motors, choose_postures, tcp_position
+from rejoint.arms import Arm, Array, Motors, choose_postures, tcp_position
 from rejoint.arms.postures import too_heavy
 from rejoint.arms.rotations import WEIGHT, Orientation, tool_axis
 from rejoint.control.controllers.posture import MOVING, OFF, PostureGains, Unloading
@@ -90,15 +90,15 @@ class ServedArm(Computer, Reference):
         arm: Arm,
         position: Array,
         *,
-        apparent: Modelled | None = None,
+        apparent: Modelled,
         limits: GuardLimits | None = None,
         motors: Motors | None = None,
     ) -> None:
-        """Refuse orders that ``limits`` or ``motors`` rule out."""
+        """``apparent``: the arm that clients see. Refuses orders that ``limits`` or ``motors`` rule out."""
         self._limits, self._motors = limits, motors
         self.note = ""
         """what a motor is too weak for in the last order, or empty"""
-        self._apparent = apparent or Modelled(arm, Displacement.none(arm))
+        self._apparent = apparent
         self._unloading = Unloading(arm, motors)
         super().__init__(arm, self._apparent.shown(position))
         self.lock = threading.RLock()
@@ -293,7 +293,7 @@ class ServedArm(Computer, Reference):
 class OrderLog:
     """Writes to ``path``; FileError."""
 
-    def __init__(self, path: Path, *, say: Callable[[str], object] = lambda _: None) -> None:
+    def __init__(self, path: Path, *, say: Callable[[str], object]) -> None:
         self.path, self._say = path, say
         self.orders = 0
         """so far"""
