@@ -172,7 +172,7 @@ DEVIATION = np.array([5e-4, 1e-4, 1e-4])
 class EmulatedEye:
     """Detects the tool of one emulated arm."""
 
-    def __init__(self, robot: Robot, seed: int = 0) -> None:
+    def __init__(self, robot: Robot, seed: int) -> None:
         self._robot, self._rng = robot, np.random.default_rng(seed)
         self._taken: deque[Sighting] = deque(maxlen=64)
         self._due = -np.inf  # [s] of the next image

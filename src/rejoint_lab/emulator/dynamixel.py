@@ -36,7 +36,7 @@ from rejoint_lab.plant.xseries import COUNTS, CURRENT, EXTENDED, NEW, POSITION, 
 HEADER = b"\xff\xff\xfd"
 REG_WRITE, ACTION, REBOOT, STATUS = 4, 5, 8, 0x55
 FAST_SYNC_READ, BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x8A, 0x92, 0x93, 0x9A
-FAILED, UNKNOWN, RANGE, LENGTH, LIMIT, ACCESS = 1, 2, 4, 5, 6, 7
+UNKNOWN, RANGE, LENGTH, LIMIT, ACCESS = 2, 4, 5, 6, 7
 """Numbers of errors"""
 ALERT = 0x80
 _MOST = 1024  # [bytes] of a packet, as ROBOTIS' client takes them
