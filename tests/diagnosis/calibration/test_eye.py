@@ -50,7 +50,7 @@ class Moved(EmulatedEye):
 def test_a_camera_that_was_moved_is_named(caplog):
     targets = np.array([*TARGETS, [0.16, -0.03, 0.19]])
     found = rejoint.calibrate("emulated:worn?seed=3", count=5).calibration
-    for eye in ("emulated", lambda robot: Moved(robot)):
+    for eye in ("emulated", lambda robot: Moved(robot, 0)):
         assert "camera or board moved" not in caplog.text
         settings = rejoint.Settings(controller="integrator", calibration=found, eye=eye)
         rejoint.deploy("emulated:worn?seed=3", targets, settings=settings)
