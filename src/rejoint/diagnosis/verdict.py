@@ -86,12 +86,16 @@ class _Case:
     """(K,) [m/rad] of the TCP"""
     loads: Array
     """(K,) [N m] of gravity"""
-    errors: Array
-    """(K,) [rad] settled following error"""
+    leads: Array
+    """(K,) [rad] settled command minus reading"""
     encoder_step: float
     """[rad]"""
     common_lag: float
     """[s] delay of all joints"""
+
+    @property
+    def errors(self) -> Array:
+        return np.abs(self.leads)
 
     @property
     def lever(self) -> float:
@@ -158,7 +162,7 @@ def find(
 ) -> tuple[Finding, ...]:
     """Name everything that is wrong, largest tool error first."""
     position, command = postures
-    moved, loads, errors = levers(arm, position), np.abs(gravity_torque(arm, position)), np.abs(command - position)
+    moved, loads, leads = levers(arm, position), np.abs(gravity_torque(arm, position)), command - position
     common, bad = _common_lag(measurement, healthy), BAD_MM * length_size(arm)
     found = []
     for joint, row in enumerate(measurement.joints):
@@ -167,7 +171,7 @@ def find(
             healthy=None if healthy is None else healthy.joints[joint],
             levers=moved[:, joint],
             loads=loads[:, joint],
-            errors=errors[:, joint],
+            leads=leads[:, joint],
             encoder_step=arm.encoder_step,
             common_lag=common,
         )
@@ -307,8 +311,8 @@ def offset(case: _Case) -> Found:
     if not max(case.low("offset_rad"), -case.high("offset_rad")) > OFFSET_ALLOWED + doubt:
         return None
     cost = case.lever * abs(case.value("offset_rad"))
-    if case.errors.any():  # a servo with an integral term rests nearer
-        rest = (case.levers * case.errors).mean()
+    if case.leads.any():  # a servo with an integral term rests nearer, one with friction on either side
+        rest = case.lever * abs(case.leads.mean())
         if case.healthy is None and rest < 0.5 * cost:  # an unknown servo: the integral may be all of it
             return None
         cost = min(cost, rest)
