@@ -409,7 +409,8 @@ class _GroupedColumns:
                 raise InputError(f"--map {ours}={theirs}: {len(places)} columns for {len(names)} joints")
         else:
             places = [i for i, title in enumerate(titles) if title == given]
-            if joint and not places:
+            joint = joint and not places
+            if joint:
                 places = [i for i, column in self.columns.items() if column.name == given]
             names = (meaning.name,) * len(places)
         if not places:
