@@ -282,12 +282,9 @@ def sag_doubt(data: ExcitationLog) -> str:
     right, tried = _explained(pulls), [(_explained(one), words) for one, (_, words) in zip(others, ways, strict=True)]
     alongs = (np.linalg.pinv(pulls[:, :3, :3], 1e-6) @ pulls[:, :3, -1:])[..., 0]
     bases = np.array([_explained(pulls, along) for along in alongs])
-    way = alongs[bases.sum(axis=1).argmax()]
-    where = tuple((np.round(way / max(np.linalg.norm(way), 1e-12), 1) + 0.0).tolist())
     base = (
-        f"gravity pulled along {where} of the base, not along (0, 0, -1): if the arm is mounted so, let a fixed joint "
-        "in its file turn the base; else check signs and zeros, and whether a spring or the controller carries more "
-        "than the weight"
+        "gravity pulled not along (0, 0, -1) of the base: if the arm is mounted so, let a fixed joint in its file turn "
+        "the base; else check signs and zeros, and whether a spring or the controller carries more than the weight"
     )
     load = "the tip carried more: if it did, weigh that and diagnose with --payload; else check the zeros of the joints"
     loads = [(_explained(pulls, np.append(GRAVITY, one)), load) for one in data.arm.mass.sum() * LOADS]
