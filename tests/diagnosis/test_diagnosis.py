@@ -12,6 +12,7 @@ from rejoint.arms import mycobot280
 from rejoint.diagnosis.diagnosis import Diagnosis, judge
 from rejoint.diagnosis.excitation import DiagnosisLogs, record
 from rejoint.diagnosis.healthy import healthy_reference, reference_from
+from rejoint.diagnosis.verdict import find
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import NotReadyError
 from rejoint.system.files import read_json, write_json
@@ -88,6 +89,14 @@ def test_offsets_are_named_where_they_are_and_cost_what_they_do(found):
     for joint, finding in named.items():
         assert finding.measured.value == pytest.approx(OFFSET[ARM.joint_names.index(joint)], abs=np.radians(0.3))
     assert ("joint1", "offset") not in kinds(found["worn"])
+
+
+def test_a_joint_that_rests_on_either_side_of_its_commands_has_no_offset(found):
+    command, measurement = np.tile(ARM.rest, (8, 1)), found["offset joints"].measurement
+    for sides, named in ((np.ones(8), {0, 1, 4}), (np.resize([1.0, -1.0], 8), set())):
+        position = command - sides[:, None] * OFFSET
+        told = find(ARM, measurement, (position, command), None)
+        assert {ARM.joint_names.index(one.joint) for one in told if one.kind == "offset"} == named
 
 
 def test_offsets_make_up_what_the_arm_misses_by(found):
