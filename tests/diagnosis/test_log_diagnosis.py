@@ -15,7 +15,7 @@ from rejoint.diagnosis.healthy import reference_by
 from rejoint.diagnosis.metrics import fit_law
 from rejoint.diagnosis.segments import FREE, inertial_torque, join_logs, resting_postures
 from rejoint.logs.columns import ZEROS
-from rejoint.logs.exclusions import find_exclusions
+from rejoint.logs.exclusions import UNPOWERED, find_exclusions
 from rejoint.system.errors import InputError
 from rejoint.system.statistics import Estimate
 
@@ -181,6 +181,13 @@ def test_an_arm_that_lies_on_its_table_is_not_called_worn(on_a_table):
     for joint in (1, 2, 3):
         k, same = (d.measurement.joints[joint].stiffness_nm_per_rad for d in (diagnosis, alone))
         assert max(k.low, same.low) < min(k.high, same.high)
+
+
+def test_a_joint_declared_without_torque_is_not_worn(logs):
+    declared = [replace(log, extra={UNPOWERED: "wrist_flex"}) for log in logs["limp wrist"]]
+    found = diagnose_logs(ARM, declared, plain_reference())
+    assert kinds(found) == set()
+    assert "wrist_flex does not answer" in " ".join(found.unseen)
 
 
 def test_spans_hold_free_rows_of_one_log(logs):

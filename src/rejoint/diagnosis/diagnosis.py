@@ -26,7 +26,15 @@ from rejoint.diagnosis.segments import (
 from rejoint.diagnosis.verdict import RULES, Finding, chord, find
 from rejoint.logs.columns import ZEROS
 from rejoint.logs.consistency import refuse_copies, remarks_on, require_commands, states_alone
-from rejoint.logs.exclusions import Exclusions, answered, find_exclusions, powered, table_height, unpowered_joints
+from rejoint.logs.exclusions import (
+    UNPOWERED,
+    Exclusions,
+    answered,
+    find_exclusions,
+    powered,
+    table_height,
+    unpowered_joints,
+)
 from rejoint.logs.runlog import RunLog
 from rejoint.system.errors import InputError
 from rejoint.system.progress import Progress, no_progress
@@ -173,6 +181,7 @@ def diagnose_logs(
 ) -> Diagnosis:
     """Judge an arm by logs of any motion; InputError for another arm or too little free motion."""
     refuse_copies(logs, "diagnosis")
+    off = set(arm.joint_names).intersection(*(log.extra.get(UNPOWERED, "").split(",") for log in logs))  # as declared
     logs = powered(arm, logs)
     bare = states_alone(logs, "diagnosis")
     if any(log.torque is None and log.current is None for log in logs):
@@ -190,7 +199,7 @@ def diagnose_logs(
     on_progress(0.1, "joints")
     measurement = measure_logs(data)
     rest = _rest(excluded)
-    findings = () if bare else find(arm, measurement, rest, healthy)
+    findings = () if bare else tuple(one for one in find(arm, measurement, rest, healthy) if one.joint not in off)
     grown = _grown(measurement, healthy) if bare else None
     told = _by_effort(measurement, grown)
     if not bare:
