@@ -332,10 +332,9 @@ def _over_load(data: ExcitationLog) -> float | None:
 
 def _known(data: ExcitationLog, laws: Sequence[Law | None]) -> list[Estimate | None]:
     by_sag = _by_sag(data.arm, [None] * data.arm.joints if ZEROS in data.log.extra else laws, KNOWN_WITHIN)
+    # else nothing shows that the column holds torques of the joints, in this unit and sign, after the gear
     if not 1.0 / SURE_WITHIN < (_over_load(data) or 0.0) < SURE_WITHIN:
-        return (
-            by_sag  # nothing shows that the column holds torques of the joints, in this unit and sign, after the gear
-        )
+        return by_sag
     by_torque = [_slope(fit_torque(data, joint), TORQUES, KNOWN_WITHIN) for joint in range(data.arm.joints)]
     return [one or sag for one, sag in zip(by_torque, by_sag, strict=True)]
 
